@@ -12,7 +12,7 @@ import numpy as np
 
 import slippulse_jax as sp
 from benchmarks.fit_coverage import Share, holds
-from slippulse_jax.events.resolution import many, tall_lengths
+from slippulse_jax.blocks.size import many, tall_lengths
 from slippulse_jax.inference.fitted import LEVELS, Identifiability
 
 SIGMA, SPECIMENS, POISSON = 0.02, 6, 0.3

@@ -18,7 +18,7 @@ import numpy as np
 import slippulse_jax as sp
 from benchmarks.timing import side_by_side
 from slippulse_jax.bodies.chain import State, eliminate
-from slippulse_jax.bodies.response import into_blocks, propagators, response
+from slippulse_jax.bodies.response import into_blocks, of_chain, propagators
 from slippulse_jax.bulk.compiler import compile_loops_whole, lane_by_lane
 from slippulse_jax.events.event import event
 from slippulse_jax.paper import FIG2
@@ -138,7 +138,7 @@ def ruptures(sizes=(300, 3000), lanes=(1, 64)):
         arrays = *links, np.asarray(c.contact), np.asarray(c.threshold)
         springs = [np.asarray(x) for x in (c.upper, c.layer, c.across, c.contact, np.stack(c.end), c.threshold)]
         every = partial(whole, *springs, float(c.stiffness))
-        resp = jax.jit(lambda c: response(c, eliminate(c, c.contact)))(c)
+        resp = jax.jit(lambda c: of_chain(c, eliminate(c, c.contact)))(c)
         for count in lanes:
             loads = jnp.linspace(6.0, 8.0, count) if count > 1 else jnp.array([6.0])
             one = lambda load, c=c, n=n: sp.rupture(c, State(jnp.zeros(n), load), max_breaks=1000)  # noqa: E731

@@ -14,7 +14,7 @@ from numba import njit, prange
 import slippulse_jax as sp
 from benchmarks.timing import side_by_side
 from slippulse_jax.bodies.chain import State, eliminate
-from slippulse_jax.bodies.response import response
+from slippulse_jax.bodies.response import of_chain
 from slippulse_jax.bulk.compiler import compile_loops_whole
 
 
@@ -67,7 +67,7 @@ def chain(sites, height=25.0):
 def responses(sites):
     def green(height):
         body = chain(sites, height)
-        resp = response(body, eliminate(body, body.contact))
+        resp = of_chain(body, eliminate(body, body.contact))
         return jax.vmap(resp.column)(np.arange(sites))[:, 0]
 
     return jax.jit(green)

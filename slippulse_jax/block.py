@@ -17,6 +17,10 @@ from slippulse_jax.shown import html, in_a_line, short
 from slippulse_jax.slider import Real, Slider, from_si
 from slippulse_jax.units import Numbers, are_numbers, as_float, floats_or_axes, quantity_field
 
+if TYPE_CHECKING:
+    from slippulse_jax.events.first import Relaxed
+    from slippulse_jax.interface import Interface, Profile
+
 Control = Literal["displacement", "force"]
 Plane = Literal["stress", "strain"]
 ContactLaw = Literal["amontons", "multicontact"]
@@ -27,6 +31,8 @@ USUAL_NORMAL_STIFFNESS = 1.2
 RIGID = 1e12
 """k_n/k so large that no digit tells it from infinity, where the pressure is still to be read."""
 
+MOST_CONTACTS = 2**13
+"""Largest number of contacts resolved of a block, whose response is a matrix of that size."""
 LENGTH = Domain(1, 2**31 - 1, "a block is at least two contacts long")
 OF_SIDE = Domain(0, 1, "must lie in (0, 1): a part of the height of the block")
 
@@ -116,6 +122,15 @@ class Push(eqx.Module):
             return centre, jnp.ones_like(centre)
         half = jnp.asarray(self.width) / 2
         return centre - half, centre + half
+
+
+def checked_sites(block: "Block", sites: Numbers | None) -> int:
+    """Number of contacts to resolve, which must fit into memory; a block that ends needs all of its own."""
+    if not isinstance(sites, int) or not 2 <= sites <= MOST_CONTACTS:
+        raise ValueError(f"sites = {sites}: of a block a whole number from 2 to {MOST_CONTACTS}")
+    if sites < (block.sites or 0):
+        raise ValueError(f"sites = {sites}: a block of {block.sites} contacts needs all of them")
+    return sites
 
 
 def has_push(given: Container[str], control: Control) -> bool:
@@ -295,9 +310,15 @@ class Block(eqx.Module):
         return html(f"Block (plane {self.plane})", rows)
 
     @property
-    def contacts(self) -> int | None:
+    def sites(self) -> int | None:
         """Number of contacts of a block that ends; None where it does not, or where that is traced."""
         return None if self.length is None or isinstance(self.length, Tracer) else int(self.length)
+
+    def contacts(self, interface: "Interface | Profile | None", sites: int) -> "Relaxed":
+        """Its first contacts before loading, and what a push and a break do to them."""
+        from slippulse_jax.blocks.event import contacts_of  # above: the body says where, and loads nothing else
+
+        return contacts_of(self, interface, sites)
 
     @property
     def slider(self) -> Slider:

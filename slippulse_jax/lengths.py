@@ -12,18 +12,16 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from slippulse_jax.bodies.chain import chain, eliminate
-from slippulse_jax.bodies.modes import ENDLESS, NO_END, Ends, RightEnd, ends_of, lattice_modes
-from slippulse_jax.bodies.response import response
+from slippulse_jax.bodies.modes import ENDLESS, NO_END, Ends, RightEnd, ends_of
 from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, over_lanes
 from slippulse_jax.derivatives import with_jacobian
 from slippulse_jax.domains import check_kind
-from slippulse_jax.events.event import BREAKS_PER_SITE, MORE_SITES
-from slippulse_jax.events.rupture import one_rupture
+from slippulse_jax.events.event import MORE_SITES
+from slippulse_jax.events.first import length_of
 from slippulse_jax.exact import bulk as exact_lanes
 from slippulse_jax.front import lanes
 from slippulse_jax.front.arrest import arrest, check_at_once, check_max_contacts, report_without_length
-from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, Arrest, EventKind, LengthDerivatives, check_event, nucleation_load
+from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, Arrest, EventKind, LengthDerivatives, check_event
 from slippulse_jax.interface import Interface, check_bulk
 from slippulse_jax.rules import HARD, BreakRule, SmoothBreak, check_rule
 from slippulse_jax.slider import Slider
@@ -126,7 +124,7 @@ def lengths(
     """`precursor_lengths` without warnings."""
     check_event(event)
     if event == "full":
-        return _whole(slider, interface, rule, ends, max_contacts, derivatives)
+        return whole_lengths(slider, interface, rule, ends, max_contacts, derivatives)
     check_rule(rule)
     check_max_contacts(max_contacts)
     if derivatives not in (0, 1):
@@ -170,8 +168,8 @@ def _by_loop(kernel: Kernel, layout: Layout, columns: Lanes, general: Kernel, gi
     return found
 
 
-def _whole(
-    slider: Slider, interface: Interface | None, rule: BreakRule, ends: Ends, max_contacts: int, derivatives: int
+def whole_lengths(
+    slider: Slider, interface: Interface | None, rule: BreakRule, ends: Ends, max_contacts: int, derivatives: int = 0
 ) -> Any:
     """Lengths of fronts, and of whole events where contacts break again."""
     if rule is not HARD or (interface is not None and interface.repin_delay):
@@ -276,12 +274,7 @@ def event_kernel(right: RightEnd, sites: int, derivatives: int) -> Kernel:
 
     def length(lane: Float[Array, " fields"]) -> Array:
         slider, interface = Slider(*lane[:3]), Interface(*lane[3:]) if len(lane) > 3 else None
-        whole = chain(slider, sites=sites, interface=interface, right=right)
-        modes = lattice_modes(slider, Ends(right, None if right == "semi-infinite" else sites))
-        loaded = whole.relaxed(nucleation_load(modes, interface))
-        beyond = eliminate(whole, whole.contact)
-        resp = response(whole, beyond)
-        return one_rupture((BREAKS_PER_SITE * sites, 0), resp, beyond, whole, loaded, jnp.int32(0)).length
+        return length_of(slider.contacts(interface, sites, right), "full")[0]
 
     return lambda lanes: ((with_jacobian(length)(lanes[:, 0]) if derivatives else length(lanes[:, 0])[None])[:, None],)
 

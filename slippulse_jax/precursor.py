@@ -16,8 +16,11 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.block import Block
+from slippulse_jax.blocks import size
+from slippulse_jax.blocks.event import BlockPrecursor
 from slippulse_jax.bodies.modes import (
     ChainFields,
+    Ends,
     Modes,
     RightEnd,
     ends_of,
@@ -25,11 +28,8 @@ from slippulse_jax.bodies.modes import (
     lattice_modes,
 )
 from slippulse_jax.domains import check_kind, check_single, check_whole
-from slippulse_jax.events import resolution
-from slippulse_jax.events.block import BlockPrecursor
 from slippulse_jax.front import delayed, front
 from slippulse_jax.front.arrest import (
-    FrontNotArrested,
     arrest,
     check_at_once,
     check_max_contacts,
@@ -38,7 +38,7 @@ from slippulse_jax.front.arrest import (
 )
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, Contacts, EventKind, check_event
 from slippulse_jax.interface import Interface, Profile
-from slippulse_jax.lengths import precursor_lengths
+from slippulse_jax.lengths import whole_lengths
 from slippulse_jax.rules import HARD, BreakRule, SmoothBreak, check_rule
 from slippulse_jax.shown import html, in_a_line, short
 from slippulse_jax.slider import Slider
@@ -202,9 +202,9 @@ def precursor_length(
         check_rule(rule, one=True)
         if event == "full" and isinstance(rule, SmoothBreak):
             raise ValueError("event = 'full': under a smooth rule a front passes each contact once, so there is no other event")
-        return resolution.precursor_length(slider, interface, sites, rule, event)
+        return size.precursor_length(slider, interface, sites, rule, event)
     if event == "full":
-        return _whole(slider, interface, rule=rule, right=right, sites=sites, machine=machine, max_contacts=max_contacts)
+        return _whole(slider, interface, rule, ends_of(right, sites, machine), max_contacts)
     ends = ends_of(right, sites, machine)
     check_max_contacts(max_contacts)
     check_rule(rule, one=isinstance(interface, Profile))
@@ -219,18 +219,18 @@ def precursor_length(
     return length
 
 
-def _whole(slider: Slider, interface: Interface | Profile | None, **options: Any) -> Array:
+def _whole(slider: Slider, interface: Interface | Profile | None, rule: BreakRule, ends: Ends, max_contacts: int) -> Array:
     """Lengths of whole events."""
     if isinstance(interface, Profile):
         raise ValueError("event = 'full': not on a Profile; take rupture of a chain on it")
-    if any(isinstance(x, Tracer) for x in jax.tree.leaves((slider, interface, options))):
+    if any(isinstance(x, Tracer) for x in jax.tree.leaves((slider, interface, rule, ends))):
         raise ValueError(
             "event = 'full': the whole event of a slider is not traced. Outside jit, vmap and grad use "
             "precursor_lengths(…, event='full', derivatives=1), or rupture of a chain for its breaks"
         )
-    found = precursor_lengths(slider, interface, event="full", **options)
-    if np.ndim(found) == 0 and np.isnan(found):
-        raise FrontNotArrested(Outcome.LIMIT.message)
+    found = np.asarray(whole_lengths(slider, interface, rule, ends, max_contacts))
+    if np.isnan(found).any():
+        report_without_length(np.where(np.isnan(found), Outcome.LIMIT, Outcome.ARRESTED), max_contacts, raises=found.ndim == 0)
     return jnp.asarray(found)
 
 
@@ -296,7 +296,7 @@ def first_precursor(
         check_whole("recorded_sites", recorded_sites, 1)
     if isinstance(slider, Block):
         _check_of_block(interface, right=right, machine=machine, max_contacts=max_contacts, recorded_sites=recorded_sites)
-        return resolution.first_precursor(slider, interface, sites, event)
+        return size.first_precursor(slider, interface, sites, event)
     if event == "full":
         raise ValueError("event = 'full': the record of a whole event of a slider is sp.rupture(sp.chain(slider, sites=…))")
     ends = ends_of(right, sites, machine)

@@ -3,7 +3,7 @@
 Lengths are in λc, stiffnesses in K = Eλc (label cra04), contact stretches in u_s = f_s/k, hence stresses in σ_s.
 """
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,6 +13,11 @@ from jaxtyping import Array, Float
 from slippulse_jax.domains import CORRELATION_LENGTH, HEIGHT, POISSON, STIFFNESS, YOUNG, Domain
 from slippulse_jax.shown import html, in_a_line, short
 from slippulse_jax.units import Numbers, are_numbers, as_float, at_least_single, floats_or_axes, quantity, quantity_field
+
+if TYPE_CHECKING:
+    from slippulse_jax.bodies.modes import RightEnd
+    from slippulse_jax.events.first import Relaxed
+    from slippulse_jax.interface import Interface, Profile
 
 Real = Array | np.ndarray | np.floating | float
 
@@ -211,6 +216,12 @@ class Slider(eqx.Module):
     def alpha_2(self) -> Array:
         """u/u_t in the slow mode, 1 − κ_2²/κ_T² (between 0 and 1). Erratum: as for `alpha_1`."""
         return self._excess_over_contacts / self.kappa_1**2
+
+    def contacts(self, interface: "Interface | Profile | None", sites: int, right: "RightEnd" = "semi-infinite") -> "Relaxed":
+        """Its first contacts before loading, or all of one that ends, and what a push and a break do to them."""
+        from slippulse_jax.events.first import contacts_of_slider  # above: the body says where, and loads nothing else
+
+        return contacts_of_slider(self, interface, sites, right)
 
     def driving_stress(self, upper: Real, layer: Real) -> Array:
         """Stress σ_d = K_T(u_t − u)/λc² by which the upper layer drives the interfacial one, in σ_s; label cra07.

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import slippulse_jax as sp
-from slippulse_jax.events import block as blocks
+from slippulse_jax.blocks import event as blocks
 
 SLIDER = sp.Slider(25.0, 0.03, 0.3)
 BLOCK = sp.Block(40.0, 0.05, 0.3, sp.Push(0.4))

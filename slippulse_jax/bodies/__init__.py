@@ -7,8 +7,5 @@ any order. In the order in which they build on each other:
     `chain`             any chain: springs, contacts and thresholds may differ from site to site; its O(N) elimination
     `equilibrium`       forces of a chain in balance, with derivatives
     `response`          what a push and a break do to every contact: of a chain, of a matrix, of a slider
-    `waveguide`         the response of any uniform waveguide on attached contacts; the slider is one of two freedoms
-    `pressed`           contacts of such a guide whose stiffness and threshold follow a pressure that the push tilts
-    `elements`          a block under two-dimensional elasticity as such a guide: graded columns of finite elements
     `distribution`      contacts of many junctions, their force law and stability
 """

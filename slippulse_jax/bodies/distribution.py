@@ -26,10 +26,10 @@ from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 from scipy.optimize.elementwise import find_root
 
+from slippulse_jax.blocks.guide import inverse
 from slippulse_jax.bodies.chain import Chain, State
 from slippulse_jax.bodies.equilibrium import imbalance
 from slippulse_jax.bodies.modes import lattice_modes
-from slippulse_jax.bodies.waveguide import inverse
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.domains import Domain, check_choice
 from slippulse_jax.slider import Slider

@@ -142,7 +142,7 @@ def into_blocks(x: Array, size: int, fill: float = 0.0) -> Array:
     return jnp.concatenate([x, padding]).reshape(-1, size, *x.shape[1:])
 
 
-def response(chain: Chain, beyond: Springs) -> Response:
+def of_chain(chain: Chain, beyond: Springs) -> Response:
     """Compute the response of a chain with linear contacts, given its elimination from the right end.
 
     It does not depend on thresholds and prestress.
@@ -181,7 +181,7 @@ def shared_response(chain: Chain) -> tuple[Springs, Response]:
 
     def of_springs(springs: Chain) -> tuple[Springs, Response]:
         beyond = eliminate(springs, springs.contact)
-        return beyond, response(springs, beyond)
+        return beyond, of_chain(springs, beyond)
 
     none = jnp.ones(chain.sites, chain.contact.dtype)
     return lane_by_lane(of_springs, eqx.tree_at(lambda c: (c.threshold, c.prestress), chain, (none, none)))

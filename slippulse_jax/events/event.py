@@ -15,10 +15,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from slippulse_jax.bodies.pressed import Pressed, balance, frozen
 from slippulse_jax.bodies.response import Response
 from slippulse_jax.bulk.compiler import solve_without_pivots
-from slippulse_jax.front.front import REACHED, EventKind, end_of_front
+from slippulse_jax.front.front import REACHED, end_of_front
 
 BREAKS_PER_SITE = 50
 """Breaks per contact after which an event is given up."""
@@ -26,35 +25,6 @@ LOST = 1e-6
 """Pressure, over the initial one, below which a contact has lost it: by then its threshold shrinks with every break."""
 MORE_SITES = 4
 """Factor by which the sites resolved grow while an event reaches the last of them: each number is a program to compile."""
-
-
-class Relaxed(NamedTuple):
-    """A body before it is loaded; stresses in σ_s."""
-
-    response: Response
-    threshold: Float[Array, " N"]  # of contacts that never broke; inf where there is none
-    prestress: Float[Array, " N"]  # the only stress
-    stiffness: Array | float = 1.0  # k, in K
-    last: Int[Array, ""] | int = -1  # index of the last contact, or of the last one resolved
-    valid: Bool[Array, ""] | bool = True  # whether all numbers lie in their domains
-    driver: int = 0  # sites before those of the body: the driver's
-    pressed: Pressed | None = None  # where stiffness and threshold follow the pressure; stresses are then stretches, in u_s
-    alike: Bool[Array, ""] | bool = False  # whether neighbouring contacts are: a first event ends on a curve
-
-    @property
-    def readings(self) -> Float[Array, "r N"]:
-        """The prestress and, where it is read, the initial pressure."""
-        return jnp.stack([self.prestress, jnp.ones_like(self.prestress)])[: len(self.response.push)]
-
-
-class Nucleation(NamedTuple):
-    """Contacts as the first of them reaches its threshold."""
-
-    first: Int[Array, ""]
-    load: Array
-    readings: Float[Array, "r N"]  # of a `Pressed` body the stretch, in u_s
-    response: Response  # what breaks do from here on
-    pressure: Float[Array, " N"] | None = None  # over the initial one, where anything follows it
 
 
 class Event(NamedTuple):
@@ -253,84 +223,3 @@ def rises(push: Float[Array, "r N"], threshold: Float[Array, " N"], readings: Fl
         gains, short = push[0] - weak * push[1], weak * readings[1] - readings[0]
     rising = there & (gains > 0)
     return jnp.where(rising, short / jnp.where(rising, gains, 1), jnp.inf)
-
-
-def nucleated(body: Relaxed) -> Nucleation:
-    """Load a body until a contact is at its threshold."""
-    response, threshold, prestress = body[:3]
-    if body.pressed is not None:
-        found = balance(body.pressed, threshold, prestress, 0 * prestress, 0 * prestress[0])
-        return Nucleation(found.first, found.load, found.stretch[None], frozen(body.pressed, found), found.pressure)
-    needed = rises(response.push, threshold, body.readings)
-    first = jnp.argmin(needed)
-    readings = body.readings + needed[first] * response.push
-    return Nucleation(first, needed[first], readings, response, readings[1] if len(readings) > 1 else None)
-
-
-def first_event(
-    body: Relaxed, limit: Int[Array, ""] | int | None = None, kind: EventKind = "domino"
-) -> tuple[Event, Nucleation]:
-    """Load a body until a contact is at its threshold; break contacts until none is, or the last has broken.
-
-    In the first front no contact breaks again. The event is given up after `limit` breaks, at least one.
-    """
-    start = nucleated(body)
-    return event_from(start, body, limit, kind), start
-
-
-def event_from(
-    start: Nucleation,
-    body: Relaxed,
-    limit: Int[Array, ""] | int | None = None,
-    kind: EventKind = "domino",
-    *,
-    logged: bool = False,
-) -> Event:
-    """The event that a nucleation begins (see `first_event`); with `logged`, it has the order of breaks."""
-    threshold, sites = body.threshold, body.threshold.size
-    most_breaks = BREAKS_PER_SITE * sites
-    return event(
-        start.response,
-        start.readings,
-        threshold,
-        limit=most_breaks if limit is None else limit,
-        renewed=None if kind == "full" else jnp.full_like(threshold, jnp.inf),
-        trigger=start.first,
-        last=jnp.asarray(body.last) % sites,
-        log=(jnp.full(most_breaks + 1, -1, jnp.int32), jnp.zeros(most_breaks + 1, threshold.dtype), 0) if logged else None,
-    )
-
-
-def slopes_of_length(
-    found: Event, start: Nucleation, threshold: Float[Array, " N"], alike: bool | Array
-) -> tuple[Float[Array, "r N"], Float[Array, "N r N"], Float[Array, " N"]]:
-    """Derivatives of ℓ at a fixed order of breaks, in the readings, in what breaks do to them, and in the threshold.
-
-    Of a logged event; `alike` as for its length. From the last break back to the first, λ is the derivative in the readings of
-    every contact: a break of contact o that released t set its stress to zero and added t times its column.
-    """
-    order, each, near = found.order, found.each, start.response.near[0]
-    assert order is not None
-    assert each is not None
-    at, over, degree = found.front_of(alike)
-    ahead, none = jnp.minimum(at + 1, threshold.size - 1), jnp.zeros_like(threshold)
-    of_over, of_short = jax.grad(found.end, (1, 2))(at, over, found.excess[ahead], degree)
-    # of every contact that broke: what its overload as the front passed is to ℓ, and when that was
-    reached = at - jnp.arange(over.size, dtype=at.dtype)
-    of_over, reached = jnp.where(reached >= 0, of_over, 0), jnp.maximum(reached, 0)
-    passed = jnp.argmax(order[None] == reached[:, None], axis=1).astype(jnp.int32)
-    weak, short = threshold[reached], threshold[ahead]  # all can break
-    of_threshold = none.at[reached].add(-of_over * (each[passed] - over) / weak)
-    of_threshold = of_threshold.at[ahead].add(-of_short * (1 if found.pressure is None else found.pressure[ahead]))
-
-    def back(state: tuple) -> tuple:
-        number, of_readings, of_near = state
-        site, t, front = order[number], each[number], jnp.where(number == passed, of_over, 0)
-        of_t = (near[site] * of_readings).sum()
-        of_near = of_near.at[site].add(of_readings * t)
-        passing = jnp.stack([front.sum(), -(front * weak).sum()])[: len(of_readings)]
-        return number - 1, of_readings.at[0, site].set(of_t).at[:, site].add(passing), of_near
-
-    begin = jnp.zeros_like(found.readings).at[:, ahead].add(jnp.stack([of_short, -of_short * short])[: len(found.readings)])
-    _, of_readings, of_near = lax.while_loop(lambda state: state[0] >= 0, back, (found.breaks - 1, begin, jnp.zeros_like(near)))
-    return of_readings, of_near, of_threshold

@@ -30,12 +30,13 @@ from slippulse_jax.bulk.compiler import lane_by_lane
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import check_kind, check_whole
 from slippulse_jax.events.event import BREAKS_PER_SITE, event, most
+from slippulse_jax.events.first import ROUNDING, alike
 from slippulse_jax.front.front import first_of, length_or_reason
 from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
 from slippulse_jax.status import Outcome
 
-CLOSEST, ROUNDING = -(2**31), 16
-"""For a trigger: the contact closest to its threshold, where only rounding keeps it below; and the units of that rounding."""
+CLOSEST = -(2**31)
+"""For a trigger: the contact closest to its threshold, where only rounding keeps it below."""
 
 
 class Rupture(NamedTuple):
@@ -275,16 +276,6 @@ def one_rupture(
         drift=jnp.abs(stress - after.stress).max(),
         status=status,
     )
-
-
-def alike(chain: Chain, pinning: Array, start: int = 0) -> Array:
-    """Whether from a site on nothing changes along a chain and its pinning points but thresholds and prestress, evenly."""
-
-    def even(x: Array, order: int) -> Array:
-        return (jnp.abs(jnp.diff(x, order)) <= ROUNDING * jnp.finfo(x.dtype).eps * jnp.abs(x).max()).all()
-
-    bonds = [even(x[start:], 1) for x in (chain.upper, chain.layer, chain.across, chain.contact, pinning)]
-    return jnp.stack([*bonds, even(chain.threshold[start:], 2), even(chain.prestress[start:], 2)]).all()
 
 
 def _hard_rupture(limits: tuple[int, int], chain: Chain, state: State, trigger: Array) -> Rupture:

@@ -15,7 +15,7 @@ A break costs O(N) (`slippulse_jax.events.event`).
 
 from functools import partial
 from types import NoneType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -24,19 +24,18 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
-from slippulse_jax.block import Block
+from slippulse_jax.block import Block, checked_sites
 from slippulse_jax.bodies.chain import Chain, State, check_linear, driven, floats, potential_energy
-from slippulse_jax.bodies.equilibrium import all_numbers, equilibrium
-from slippulse_jax.bodies.pressed import balance, frozen
+from slippulse_jax.bodies.equilibrium import equilibrium
 from slippulse_jax.bodies.response import Response, shared_response
 from slippulse_jax.bulk.compiler import in_full, lane_by_lane
+from slippulse_jax.bulk.double import in_double
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import Domain, check_kind, check_whole
-from slippulse_jax.events import block as blocks
 from slippulse_jax.events.ageing import Ageing, next_crossing
 from slippulse_jax.events.catalogue import Catalogue, EventClass
-from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, Relaxed, event, most, overload, rises
-from slippulse_jax.events.rupture import alike
+from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, event, most, overload, rises
+from slippulse_jax.events.first import Relaxed, contacts_of_chain
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.status import Outcome
 
@@ -167,7 +166,7 @@ def series(
     if isinstance(body, Block) and body.friction is not None:
         _check_friction(body, protocol, ageing, repin_delay)
     shape = events, recorded_breaks, repin_delay, sites
-    run_series = _hard_series if isinstance(body, Chain) else blocks.in_double(_hard_series)
+    run_series = _hard_series if isinstance(body, Chain) else in_double(_hard_series)
     with jax.debug_infs(False):  # nothing ends a series without `until`, and the extent of an event that spans is inf
         until = jnp.asarray(jnp.inf if until is None else until, jnp.asarray(body.stiffness).dtype)
         most = jnp.asarray(BREAKS_PER_SITE * sites if max_breaks is None else max_breaks, jnp.int32)
@@ -181,10 +180,10 @@ def _sites_of_block(block: Block, interface: Interface | Profile | None, sites: 
         raise ValueError("push.control = 'force': the pusher of a series is displaced; pull it through a soft Spring instead")
     if interface is not None and interface.repin_delay:
         raise ValueError(f"interface.repin_delay = {interface.repin_delay}: give the delay to series, as repin_delay")
-    if sites is None and block.contacts is None:
+    if sites is None and block.sites is None:
         raise ValueError(f"{block} has no end: give sites, the number of contacts resolved")
-    found = blocks.checked_sites(block, block.contacts if sites is None else sites)
-    return block.contacts or found
+    found = checked_sites(block, block.sites if sites is None else sites)
+    return block.sites or found
 
 
 def _check_friction(block: Block, protocol: Protocol, ageing: Ageing | None, repin_delay: int) -> None:
@@ -196,9 +195,9 @@ def _check_friction(block: Block, protocol: Protocol, ageing: Ageing | None, rep
         raise ValueError(f"protocol = {protocol!r}: contacts whose stiffness follows the pressure take Adiabatic() only")
 
 
-def _series(shape: Shape, body: Chain | Block, interface: Interface | Profile | None, loading: Loading) -> Catalogue:
-    if isinstance(body, Block):
-        return lane_by_lane(partial(_of_block, shape), body, interface, loading)
+def _series(shape: Shape, body: Any, interface: Interface | Profile | None, loading: Loading) -> Catalogue:
+    if not isinstance(body, Chain):
+        return lane_by_lane(partial(_resolved, shape), body, interface, loading)
     chain = driven(body, loading.protocol.stiffness) if isinstance(loading.protocol, Spring) else body
     beyond, resp = shared_response(chain)
     return lane_by_lane(partial(_of_chain, shape), chain, resp, floats(chain, beyond), loading)
@@ -206,19 +205,8 @@ def _series(shape: Shape, body: Chain | Block, interface: Interface | Profile | 
 
 def _of_chain(shape: Shape, chain: Chain, resp: Response, floating: Array, loading: Loading) -> Catalogue:
     """Series of a chain, which begins with the site of the driver if it is pulled through a spring."""
-    attached = chain.contact > 0
-    prestress = jnp.where(attached, chain.prestress, 0)
-    holds = (chain.threshold > prestress).all() & (chain.threshold > 0).all()
-    relaxed = Relaxed(
-        response=resp,
-        threshold=jnp.where(attached, chain.threshold, jnp.inf),
-        prestress=prestress,
-        stiffness=chain.stiffness,
-        valid=all_numbers(chain, chain.relaxed()) & ~floating & holds,
-        last=chain.sites - 1,
-        driver=chain.sites - shape[-1],
-        alike=alike(chain, jnp.zeros_like(prestress), chain.sites - shape[-1]),
-    )
+    relaxed = contacts_of_chain(chain, resp, chain.sites - shape[-1])
+    relaxed = relaxed._replace(valid=relaxed.valid & ~floating)
     end = load_through(shape, relaxed, loading)
     state = State(resp.soft * end.released, end.load)
     solved = equilibrium(chain, state)
@@ -226,8 +214,8 @@ def _of_chain(shape: Shape, chain: Chain, resp: Response, floating: Array, loadi
     return _catalogue(relaxed, end, state, solved.stress, stored)
 
 
-def _of_block(shape: Shape, block: Block, interface: Interface | Profile | None, loading: Loading) -> Catalogue:
-    return of_matrix_body(shape, blocks.contacts_of(block, interface, 1 << (shape[-1] - 1).bit_length()), loading)
+def _resolved(shape: Shape, body: Any, interface: Interface | Profile | None, loading: Loading) -> Catalogue:
+    return of_matrix_body(shape, body.contacts(interface, 1 << (shape[-1] - 1).bit_length()), loading)
 
 
 @in_full
@@ -257,7 +245,7 @@ def of_matrix_body(shape: Shape, body: Relaxed, loading: Loading) -> Catalogue:
     afresh = own + driven - apart
     if body.pressed is not None:
         unbroken = jnp.full_like(prestress, jnp.inf)
-        afresh = balance(body.pressed, unbroken, prestress, response.soft * end.released, u).stretch[:sites]
+        afresh = body.pressed.balance(unbroken, prestress, response.soft * end.released, u).stretch[:sites]
     return _catalogue(body, end, state, afresh, stored)
 
 
@@ -331,9 +319,9 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
     response, k, ageing = body.response, body.stiffness, loading.ageing
     threshold, renewed = body.threshold, None
     if body.pressed is not None:
-        at = balance(body.pressed, threshold, body.prestress, now.released, now.load)
+        at = body.pressed.balance(threshold, body.prestress, now.released, now.load)
         trigger, load, rise = at.first, at.load, at.load - now.load
-        readings, response = at.stretch[None], frozen(body.pressed, at)
+        readings, response = at.stretch[None], body.pressed.frozen(at)
         begins, per_stretch = at.stretch[trigger] >= threshold[trigger] - BALANCED, at.pressure
         force_before = body.pressed.edge_stiffness * load - k * body.pressed.push @ at.force
     else:

@@ -22,8 +22,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from tqdm.auto import tqdm
 
+from slippulse_jax.blocks.size import FOLLOWED, MOST_HEIGHTS, extrapolated, followed, many, tall_lengths
 from slippulse_jax.bulk.chunks import distinct_rows, workers
-from slippulse_jax.events.resolution import FOLLOWED, MOST_HEIGHTS, extrapolated, followed, many, tall_lengths
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.interpolation import Grid
 from slippulse_jax.interface import Interface

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from slippulse_jax.blocks.event import BlockPrecursor
 from slippulse_jax.bodies.modes import ChainFields
-from slippulse_jax.events.block import BlockPrecursor
 from slippulse_jax.files import write_atomically
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.plot import style

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from slippulse_jax.bodies.elements import heights
-from slippulse_jax.events import block as blocks
-from slippulse_jax.events.block import BlockPrecursor
+from slippulse_jax.blocks import event as blocks
+from slippulse_jax.blocks.elements import heights
+from slippulse_jax.blocks.event import BlockPrecursor
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.plot.labels import DISTANCE, axis_label
 from slippulse_jax.plot.style import axes, colours, drawn

@@ -242,11 +242,11 @@ def _driving(body: Block | Chain, interface: Interface | Profile | None) -> tupl
     """Number of contacts, force at which all would be at their threshold, and name of the force over it."""
     if isinstance(body, Chain):
         return body.sites, float(body.stiffness * np.sum(body.threshold, where=np.asarray(body.contact) > 0)), OVER_STRENGTH
-    if body.contacts is None:
+    if body.sites is None:
         raise ValueError("a block without end has no length that a precursor could be compared with: give Block.length")
-    threshold = np.asarray((interface or Interface()).threshold_at(jnp.arange(body.contacts)))
+    threshold = np.asarray((interface or Interface()).threshold_at(jnp.arange(body.sites)))
     name = OVER_FRICTION[body.top] if body.friction and (threshold == 1).all() else OVER_STRENGTH
-    return body.contacts, float(body.stiffness * threshold.sum()), name
+    return body.sites, float(body.stiffness * threshold.sum()), name
 
 
 @drawn

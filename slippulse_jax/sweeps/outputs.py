@@ -11,9 +11,9 @@ from jaxtyping import Array
 
 from slippulse_jax import lengths as bulk
 from slippulse_jax import theory
+from slippulse_jax.blocks import size
 from slippulse_jax.bodies.modes import Ends, RightEnd, lattice_modes
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
-from slippulse_jax.events import resolution
 from slippulse_jax.exact.bulk import ARREST_OUTCOMES, exact_arrests
 from slippulse_jax.front.front import FRONT_OUTCOMES
 from slippulse_jax.interface import Interface
@@ -86,7 +86,7 @@ def _smooth(request: Request, columns: Columns) -> np.ndarray:
 
 def _block(request: Request, columns: Columns) -> np.ndarray:
     numbers = _fields(columns, *SLIDER, "push_height")
-    block = resolution.many(
+    block = size.many(
         *numbers,
         control=request.push_control,
         contact_law=request.contact_law,
@@ -94,7 +94,7 @@ def _block(request: Request, columns: Columns) -> np.ndarray:
         **{name: columns.get(name) for name in PUSH if name != "push_height"},
     )
     prestress, slope = _fields(columns, "prestress", "threshold_slope")
-    return resolution.lengths(block, Interface(prestress, slope), "full")
+    return size.lengths(block, Interface(prestress, slope), "full")
 
 
 def _formula(formula: Callable[[Slider, Array, Ends], Any]) -> Compute:

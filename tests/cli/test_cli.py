@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import slippulse_jax as sp
+from slippulse_jax.blocks import size
 from slippulse_jax.cli import main as cli
-from slippulse_jax.events import resolution
 from slippulse_jax.exact import front as exact_front
 from slippulse_jax.files import plain
 from slippulse_jax.status import Outcome
@@ -195,8 +195,8 @@ def test_length_of_a_block_that_ends_under_a_machine_that_gives_way(in_this_proc
 @pytest.mark.filterwarnings("ignore:Block:RuntimeWarning")
 def test_a_block_without_a_length_says_why(status, code, friction, monkeypatch, in_this_process):
     """Whatever its outcome; only a block that lifts off is said to lift off."""
-    monkeypatch.setattr(resolution, "_length", lambda *_: np.nan)
-    monkeypatch.setattr(resolution, "_record", lambda *_: SimpleNamespace(status=status))
+    monkeypatch.setattr(size, "_length", lambda *_: np.nan)
+    monkeypatch.setattr(size, "_record", lambda *_: SimpleNamespace(status=status))
     monkeypatch.setattr(exact_front, "exact_length", lambda _: np.nan)
     done = in_this_process("length", *FIG2, "--push-height", "0.3", *friction)
     assert done.returncode == code

@@ -15,7 +15,7 @@ from problems import PAPER
 
 import slippulse_jax as sp
 from slippulse_jax.bodies.chain import State, chain, eliminate
-from slippulse_jax.bodies.response import response
+from slippulse_jax.bodies.response import of_chain
 from slippulse_jax.events.rupture import _can_break, nucleate, rupture
 from slippulse_jax.front.arrest import arrest
 from slippulse_jax.rules import SmoothBreak
@@ -120,7 +120,7 @@ def test_1000_random_chains_break_as_the_dense_program_does():
 def test_response_is_the_inverse_of_the_stiffness_matrix(sites, right):
     numbers, mine, _, _ = random_event(np.random.default_rng(sites), sites, right)
     G = numbers.inverse[sites:, sites:] * numbers.k[:, None]
-    resp = jax.jit(lambda c: response(c, eliminate(c, c.contact)))(mine)
+    resp = jax.jit(lambda c: of_chain(c, eliminate(c, c.contact)))(mine)
     found = np.asarray(jax.vmap(resp.column)(jnp.arange(mine.sites))[:, 0])
     np.testing.assert_allclose(found[:sites, :sites], G.T, rtol=1e-11, atol=1e-300)
     assert not found[sites:].any()

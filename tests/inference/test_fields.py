@@ -15,7 +15,7 @@ import slippulse_jax as sp
 from benchmarks import recover_coverage
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.bodies.response import of_slider
-from slippulse_jax.events.event import Relaxed, first_event
+from slippulse_jax.events.first import Relaxed, first_event
 from slippulse_jax.front.front import front_stress
 from slippulse_jax.inference import heterogeneous
 from slippulse_jax.inference.heterogeneous import followed, profile_problem

@@ -16,9 +16,9 @@ from click.testing import CliRunner
 from reports import moves, section, unfolded
 
 import slippulse_jax as sp
+from slippulse_jax.blocks.size import tall_length
 from slippulse_jax.cli.fit import command
 from slippulse_jax.cli.length import command as length_command
-from slippulse_jax.events.resolution import tall_length
 from slippulse_jax.inference import family
 from slippulse_jax.inference.family import Families, geometry_of
 from slippulse_jax.inference.fitted import Identifiability

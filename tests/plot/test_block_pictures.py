@@ -7,7 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import slippulse_jax as sp
-from slippulse_jax.events.block import stages
+from slippulse_jax.blocks.event import stages
 
 BLOCK = sp.Block(20.0, 0.02, 0.3, sp.Push(0.4))
 

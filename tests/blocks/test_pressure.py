@@ -8,7 +8,7 @@ from bodies.test_block import KINDS, at_b, whole
 from oracles.finite_elements import break_all
 
 import slippulse_jax as sp
-from slippulse_jax.events import block as blocks
+from slippulse_jax.blocks import event as blocks
 from slippulse_jax.events.series import Adiabatic, Spring, Steps
 from slippulse_jax.status import Outcome
 
@@ -33,7 +33,7 @@ def test_random_blocks_with_friction_break_in_the_same_order(blocks):
     rng = np.random.default_rng(35)
     for _ in range(blocks):
         block = random_block(rng)
-        dense = whole(block, block.contacts)
+        dense = whole(block, block.sites)
         relief = float(block.friction * block.normal_stiffness)
         for event in KINDS:
             order, stress, pressure, length = break_all(
@@ -53,8 +53,8 @@ def test_random_blocks_with_friction_break_in_the_same_order(blocks):
 def test_pressure_balances_the_torque_of_the_push(push):
     """No vertical force; the moment of the pressure about the middle is that of the pusher's reaction on the nodes of its side."""
     block = pressed(6, 0.5, push, 0.25)
-    dense = whole(block, block.contacts)
-    record, contacts = sp.first_precursor(block), block.contacts
+    dense = whole(block, block.sites)
+    record, contacts = sp.first_precursor(block), block.sites
     load = float(record.load)
     np.testing.assert_allclose(record.pressure_before, 1 - 0.25 * 1.2 * load * dense.push_across, rtol=0, atol=1e-9)
     np.testing.assert_allclose(record.stress_before, load * dense.push, rtol=0, atol=1e-9)
@@ -276,7 +276,7 @@ PROTOCOLS = [
 def test_a_series_is_that_of_the_finite_elements(protocol):
     """Loads, sites and extents of twelve events, from breaks one by one; forces and energies in balance."""
     block = pressed(8, 1.0, sp.Push(0.25), 0.3)
-    dense, k = whole(block, block.contacts), float(block.stiffness)
+    dense, k = whole(block, block.sites), float(block.stiffness)
     push, matrix, relief = dense.push, dense.matrix, 0.36 * dense.across
     push_relief = 0.36 * dense.push_across
     if isinstance(protocol, Spring):
@@ -285,24 +285,24 @@ def test_a_series_is_that_of_the_finite_elements(protocol):
         relief = relief + np.outer(push_relief, push) * k / (spring + edge)
         push, push_relief = (x * spring / (spring + edge) for x in (push, push_relief))
     found = sp.series(block, protocol, events=12)
-    pinning, loads, sites, extents = np.zeros(block.contacts), [], [], []
+    pinning, loads, sites, extents = np.zeros(block.sites), [], [], []
     for _ in range(12):
-        fixed = (matrix - np.eye(block.contacts)) @ pinning + relief @ pinning
+        fixed = (matrix - np.eye(block.sites)) @ pinning + relief @ pinning
         rate = push + push_relief
         needed = np.where(rate > 0, (1 - fixed) / np.where(rate > 0, rate, 1), np.inf)
         j = int(np.argmin(needed))
         load = needed[j] if not isinstance(protocol, Steps) else 0.01 * np.ceil(needed[j] / 0.01)
         loads.append(load)
-        coulomb = np.eye(block.contacts)[j]
+        coulomb = np.eye(block.sites)[j]
         if isinstance(protocol, Steps):
-            coulomb = load * rate + (matrix - np.eye(block.contacts)) @ pinning + relief @ pinning
+            coulomb = load * rate + (matrix - np.eye(block.sites)) @ pinning + relief @ pinning
         sites.append(int(np.argmax(coulomb)))
         broken = []
         while coulomb.max() >= 1:
             j = int(np.argmax(coulomb))
             broken.append(j)
             pinning[j] += loads[-1] * push[j] + (matrix @ pinning)[j] - pinning[j]
-            coulomb = loads[-1] * rate + (matrix - np.eye(block.contacts)) @ pinning + relief @ pinning
+            coulomb = loads[-1] * rate + (matrix - np.eye(block.sites)) @ pinning + relief @ pinning
         extents.append(max(broken) + 1)
     np.testing.assert_allclose(found.load, loads, rtol=1e-9)
     assert (found.site.tolist(), found.extent.tolist()) == (sites, extents)

@@ -1,56 +1,39 @@
 """Events of a block under two-dimensional elasticity, on a given number of its contacts: any contacts, in any order.
 
-The most overloaded contact breaks next, the pusher held: the cascade of a chain (`slippulse_jax.events.event`), with all
-contacts in one block. In the first front every contact breaks at most once, as on a slider. Every contact stays attached to the
-body, so a break costs one row of a matrix (`slippulse_jax.bodies.waveguide`), and derivatives at a fixed order of breaks are
-those of the sums. How many contacts an event needs is a matter of `slippulse_jax.events.resolution`.
+The most overloaded contact breaks next, the pusher held: the cascade of a chain (`slippulse_jax.events.event`). In the first
+front every contact breaks at most once, as on a slider. Every contact stays attached to the body, so a break costs one row of a
+matrix (`slippulse_jax.blocks.guide`). How many contacts an event needs is a matter of `slippulse_jax.blocks.size`.
 
-Everything is computed in double precision (`in_double`): single precision loses several per cent of a length at H/λc = 400,
-and at 800 the event itself.
+Everything is computed in double precision (`slippulse_jax.bulk.double`): single precision loses several per cent of a length at
+H/λc = 400, and at 800 the event itself.
 """
 
-import functools
-from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.block import Block
-from slippulse_jax.bodies import elements, waveguide
-from slippulse_jax.bodies.pressed import balance, pressed
+from slippulse_jax.blocks import elements
+from slippulse_jax.blocks import guide as waveguide
+from slippulse_jax.blocks.guide import Edge, Guide, Slab
+from slippulse_jax.blocks.pressed import pressed
 from slippulse_jax.bodies.response import of_matrix
-from slippulse_jax.bodies.waveguide import Edge, Guide, Slab
 from slippulse_jax.bulk.compiler import in_full
+from slippulse_jax.bulk.double import in_double
 from slippulse_jax.derivatives import by_forward_mode, with_gradient, with_jacobian
 from slippulse_jax.domains import FRICTION, NORMAL_STIFFNESS
-from slippulse_jax.events.event import (
-    LOST,
-    Event,
-    Nucleation,
-    Relaxed,
-    event_from,
-    first_event,
-    nucleated,
-    overload,
-    slopes_of_length,
-)
-from slippulse_jax.front.front import FADED, EventKind, Front, first_of, follow, in_domain, length_or_reason
+from slippulse_jax.events.first import Relaxed, ended, first_event, length_from, nucleated, smooth_length
+from slippulse_jax.front.front import EventKind, in_domain
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.rules import HARD, BreakRule, SmoothBreak
 from slippulse_jax.shown import in_a_line
 from slippulse_jax.status import Outcome
-from slippulse_jax.units import Numbers
-
-MOST_CONTACTS = 2**13
-"""Largest number of contacts resolved of a block, whose response is a matrix of that size."""
-IN_DOUBLE = "a block needs double precision: work under jax.enable_x64(True)"
 
 
 class BlockPrecursor(eqx.Module):
@@ -88,40 +71,6 @@ class BlockPrecursor(eqx.Module):
         if int(self.breaks) > int(self.contacts_broken):
             text += f"; contacts behind the front break again, {int(self.breaks)} breaks in all"
         return text
-
-
-Computed = TypeVar("Computed", bound=Callable)
-
-
-def in_double(function: Computed) -> Computed:
-    """Compute a function of a block in double precision, whatever the JAX flags; results are in the caller's precision.
-
-    A ValueError if an argument is traced while JAX is in single precision.
-    """
-
-    @functools.wraps(function)
-    def computed(*given: Any) -> Any:
-        single = not jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
-        if single and is_traced(given):
-            raise ValueError(f"under jit, vmap and grad {IN_DOUBLE}")
-        with jax.enable_x64(True):
-            found = function(*jax.tree.map(lambda x: as_type(x, np.float64), given))
-            return jax.tree.map(lambda x: as_type(x, np.float32), found) if single else found
-
-    return computed  # pyright: ignore[reportReturnType]
-
-
-def is_traced(given: Any) -> bool:
-    """Whether JAX traces any of these numbers."""
-    return any(isinstance(x, Tracer) for x in jax.tree.leaves(given))
-
-
-def as_type(x: Any, dtype: Any) -> Any:
-    """`x` in this floating type; anything else as it is."""
-    if isinstance(x, jax.Array):
-        return lax.convert_element_type(x, dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x
-    # a copy: as long as JAX holds the single-precision version of an array, it takes that for the array in double precision too
-    return np.array(x, dtype) if isinstance(x, float | np.ndarray) and np.asarray(x).dtype.kind == "f" else x
 
 
 def unattached(block: Block, finer: int = 0) -> tuple[Edge, Slab]:
@@ -175,9 +124,9 @@ def record(
     found, start = first_event(body, kind=kind)
     pinning, before, stress, pressure = found.released, start.readings[0], found.stress, found.pressure
     if body.pressed is not None:
-        ended = balance(body.pressed, jnp.full(sites, jnp.inf), body.prestress, pinning, start.load)
-        before, stress, pressure = before * jnp.asarray(start.pressure), ended.stretch * ended.pressure, ended.pressure
-    status, length = _ended(found, start, body, kind)
+        after = body.pressed.balance(jnp.full(sites, jnp.inf), body.prestress, pinning, start.load)
+        before, stress, pressure = before * jnp.asarray(start.pressure), after.stretch * after.pressure, after.pressure
+    status, length = ended(found, start, body, kind)
     return BlockPrecursor(
         block=block,
         nucleation=start.first.astype(jnp.int32),
@@ -196,74 +145,12 @@ def record(
     )
 
 
-def _ended(found: Event, start: Nucleation, body: Relaxed, kind: EventKind) -> tuple[Int[Array, ""], Float[Array, ""]]:
-    """How an event ended, and ℓ."""
-    excess = overload(found.readings, body.threshold)
-    # that of rough contacts decays for ever
-    lifted = [] if found.pressure is None else [(x < LOST).any() for x in (start.readings[1], found.pressure)]
-    again = (excess >= 0) & found.broken if kind == "domino" else jnp.zeros(excess.size, bool)
-    endings = {
-        Outcome.INVALID: ~(body.valid & jnp.isfinite(excess).all()),
-        Outcome.LIFT_OFF: jnp.any(jnp.stack(lifted)) if lifted else jnp.zeros((), bool),
-        Outcome.RAN_THROUGH: found.broken[body.last],
-        Outcome.LIMIT: ((excess >= 0) & ~again).any(),
-        Outcome.NO_DOMINO: found.rightmost == 0,
-        Outcome.REBREAK: again.any(),
-    }
-    status = first_of(endings)
-    return status, length_or_reason(status, found.length(excess, excess.size - 1, body.alike))
-
-
-def rubbing(body: Relaxed, friction: Array) -> Relaxed:
+def with_friction(body: Relaxed, friction: Array) -> Relaxed:
     """Contacts whose threshold follows their pressure, at a coefficient of friction, from those at 1."""
     if body.pressed is not None:
         return body._replace(pressed=body.pressed._replace(friction=friction))
     near, push = (x.at[..., 1:, :].multiply(friction) for x in (body.response.near, body.response.push))
     return body._replace(response=body.response._replace(near=near, push=push))
-
-
-def length_of(body: Relaxed, kind: EventKind) -> tuple[Float[Array, ""], Int[Array, ""], Int[Array, ""]]:
-    """ℓ of an event, how many contacts broke, and its `Outcome`."""
-    found, start = first_event(body, kind=kind)
-    status, length = _ended(found, start, body, kind)
-    return length, found.broken.sum(), status
-
-
-@partial(jax.custom_jvp, nondiff_argnums=(2,))
-def _length_from(start: Nucleation, body: Relaxed, kind: EventKind) -> Float[Array, ""]:
-    """ℓ of the event that a nucleation begins."""
-    return _ended(event_from(start, body, kind=kind), start, body, kind)[1]
-
-
-@_length_from.defjvp
-def _length_from_jvp(kind: EventKind, primals: tuple, tangents: tuple) -> tuple[Array, Array]:
-    """At a fixed order of breaks."""
-    (start, body), (moved, changed) = primals, tangents
-    found = event_from(start, body, kind=kind, logged=True)
-    length = _ended(found, start, body, kind)[1]
-    given = moved.readings, moved.response.near[0], changed.threshold
-    slopes = slopes_of_length(found, start, body.threshold, body.alike)
-    change = sum(jax.tree.leaves(jax.tree.map(lambda slope, x: (slope * x).sum(), slopes, given)))
-    return length, change * jnp.where(jnp.isfinite(length), 1, jnp.nan)  # without a length there is no derivative either
-
-
-def faded(contacts: Relaxed, rule: SmoothBreak) -> Float[Array, ""]:
-    """ℓ under a smooth rule, of a front from the edge; inf if it reaches the last contact, NaN if it begins elsewhere."""
-    threshold, last, start = contacts.threshold, contacts.last, nucleated(contacts)
-
-    def ahead(front: Front) -> tuple[Array, Array]:
-        stress, *pressure = front.stress[:, front.position]
-        return stress, threshold[front.position] * (pressure[0] if pressure else 1)
-
-    def release(front: Front, part: Any, released: Array) -> Front:
-        return front._replace(
-            stress=front.stress + start.response.column(front.position) * (part * released), position=front.position + 1
-        )
-
-    at_edge = Front(start.readings, None, None, jnp.int32(0))
-    _, _, part, length = follow(rule, release(at_edge, 1, start.readings[0, 0]), ahead, release, last)
-    valid = contacts.valid & (start.first == 0) & rule.in_domain()
-    return length_or_reason(first_of({Outcome.INVALID: ~valid, Outcome.RAN_THROUGH: part > FADED}), length)
 
 
 @partial(jax.jit, static_argnames=("sites", "kind"))
@@ -279,20 +166,11 @@ def length(
         block, interface, rule = jax.tree.unflatten(tree, here)
         body = contacts_of(block, interface, sites)
         if isinstance(rule, SmoothBreak):
-            return faded(body, rule)
-        return _length_from(nucleated(body), body, kind)
+            return smooth_length(body, rule)
+        return length_from(nucleated(body), body, kind)
 
     first = with_jacobian if isinstance(rule, SmoothBreak) else with_gradient
     return by_forward_mode(one, first)(*(x.astype(float) for x in given))  # whole numbers too: the rule joins all tangents
-
-
-def checked_sites(block: Block, sites: Numbers | None) -> int:
-    """Number of contacts to resolve, which must fit into memory; a block that ends needs all of its own."""
-    if not isinstance(sites, int) or not 2 <= sites <= MOST_CONTACTS:
-        raise ValueError(f"sites = {sites}: of a block a whole number from 2 to {MOST_CONTACTS}")
-    if sites < (block.contacts or 0):
-        raise ValueError(f"sites = {sites}: a block of {block.contacts} contacts needs all of them")
-    return sites
 
 
 class BlockFields(NamedTuple):
@@ -314,8 +192,8 @@ def fields(block: Block, load: Array, pinning: Float[Array, " N"]) -> BlockField
     ValueError
         If the block ends and has not as many contacts as there are pinning points.
     """
-    if block.contacts not in (None, pinning.size):
-        raise ValueError(f"pinning has shape {pinning.shape}: the block has {block.contacts} contacts")
+    if block.sites not in (None, pinning.size):
+        raise ValueError(f"pinning has shape {pinning.shape}: the block has {block.sites} contacts")
     return in_double(_fields)(block, load, pinning)
 
 
@@ -335,7 +213,7 @@ def stages(
     """Stresses after so many breaks of the first precursor, 0 for none; in σ_s.
 
     On the contacts; their thresholds, which follow the pressure where there is friction; and σ_xy in the block over each
-    contact, from one node to the next (`slippulse_jax.bodies.elements.heights`), without the prestress.
+    contact, from one node to the next (`slippulse_jax.blocks.elements.heights`), without the prestress.
     """
     body = contacts_of(block, interface, sites)
     start = nucleated(body)

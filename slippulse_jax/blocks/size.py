@@ -22,12 +22,14 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from slippulse_jax.block import USUAL_NORMAL_STIFFNESS, Block, ContactLaw, Control, Push, Top
+from slippulse_jax.block import MOST_CONTACTS, USUAL_NORMAL_STIFFNESS, Block, ContactLaw, Control, Push, Top, checked_sites
+from slippulse_jax.blocks import event as blocks
+from slippulse_jax.blocks.event import BlockPrecursor
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
+from slippulse_jax.bulk.double import IN_DOUBLE, as_type, in_double, is_traced
 from slippulse_jax.derivatives import by_forward_mode
-from slippulse_jax.events import block as blocks
-from slippulse_jax.events.block import BlockPrecursor, as_type, in_double, is_traced
 from slippulse_jax.events.event import MORE_SITES
+from slippulse_jax.events.first import length_of
 from slippulse_jax.front.front import EventKind
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.rules import HARD, BreakRule, SmoothBreak
@@ -76,8 +78,8 @@ def first_precursor(
     """Record of one block: see `slippulse_jax.first_precursor`."""
     found = in_double(_record)(block, interface, sites, kind)
     _warn_of_few_sites(block, sites, found.length)
-    if block.contacts is not None:  # no more than it has
-        found = jax.tree.map(lambda x: x[: block.contacts] if jnp.ndim(x) else x, found)
+    if block.sites is not None:  # no more than it has
+        found = jax.tree.map(lambda x: x[: block.sites] if jnp.ndim(x) else x, found)
     return dataclasses.replace(found, block=block)  # not rounded
 
 
@@ -103,7 +105,7 @@ def precursor_length(
                 raise _without_length(block, interface, status)
             warnings.warn(f"{block}: {Outcome.LIFT_OFF.message}", RuntimeWarning, stacklevel=4)
         return found
-    _known(given, blocks.IN_DOUBLE)
+    _known(given, IN_DOUBLE)
     numbers, others = eqx.partition(given, lambda x: isinstance(x, Tracer) and jnp.issubdtype(x.dtype, jnp.floating))
     numbers, tree = jax.tree.flatten(numbers)
     others = _known(others)
@@ -142,15 +144,15 @@ def _resolved(given: tuple[Any, ...], sites: Numbers | None, event: Callable[...
     """Compute an event, a record or a length, on the contacts asked for, all that there are, or enough for it to stop."""
     block = given[0]
     if sites is not None:
-        return event(*given, sites=blocks.checked_sites(block, sites))
+        return event(*given, sites=checked_sites(block, sites))
     known = _known(given)
-    if contacts := known[0].contacts:
-        if contacts > blocks.MOST_CONTACTS:
-            raise ValueError(f"{block} reaches beyond {blocks.MOST_CONTACTS} contacts: take a coarser one of the same b")
+    if contacts := known[0].sites:
+        if contacts > MOST_CONTACTS:
+            raise ValueError(f"{block} reaches beyond {MOST_CONTACTS} contacts: take a coarser one of the same b")
         return event(*given, sites=max(FEWEST_CONTACTS, 1 << (contacts - 1).bit_length()))
     reach = min(int(np.ceil(known[0].height)), FIRST_TRIAL)
     count = max(FEWEST_CONTACTS, 1 << (reach - 1).bit_length())
-    while count <= blocks.MOST_CONTACTS:
+    while count <= MOST_CONTACTS:
         found = event(*given, sites=count)
         if not np.isposinf(_known(found.length if isinstance(found, BlockPrecursor) else found)):
             return found
@@ -416,7 +418,7 @@ def _followed(tree: Any, stiffnesses: int, frictions: int, sites: int, kind: Eve
             body = blocks.contacts_of(eqx.tree_at(lambda x: x.stiffness, block, k), interface, sites, bare)
 
             def event(friction: Array) -> Float[Array, "3"]:
-                found = blocks.length_of(blocks.rubbing(body, friction) if frictions else body, kind)
+                found = length_of(blocks.with_friction(body, friction) if frictions else body, kind)
                 return jnp.stack([x.astype(k.dtype) for x in found])
 
             return _wanted(event, asked, 3)

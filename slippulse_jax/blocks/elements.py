@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slippulse_jax.block import Block
-from slippulse_jax.bodies.waveguide import Along, Slab, doubled, joined
+from slippulse_jax.blocks.guide import Along, Slab, doubled, joined
 from slippulse_jax.bulk.compiler import in_full
 
 AT_INTERFACE = 0.25

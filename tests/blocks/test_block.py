@@ -13,11 +13,11 @@ from oracles.finite_elements import WholeBlock, break_all, events_of, rectangle
 from scipy.optimize import brentq
 
 import slippulse_jax as sp
-from slippulse_jax.bodies import elements, waveguide
+from slippulse_jax.blocks import elements, size
+from slippulse_jax.blocks import event as blocks
+from slippulse_jax.blocks import guide as waveguide
 from slippulse_jax.bodies.modes import ends_of, lattice_modes
-from slippulse_jax.events import block as blocks
-from slippulse_jax.events import resolution
-from slippulse_jax.events.event import Relaxed, first_event
+from slippulse_jax.events.first import Relaxed, first_event, smooth_length
 from slippulse_jax.events.series import Adiabatic, Loading, Spring, Steps, of_matrix_body
 from slippulse_jax.rules import HARD
 from slippulse_jax.status import Outcome
@@ -608,7 +608,7 @@ def test_a_smooth_front_on_the_slider_as_a_waveguide():
     slider, rule = sp.Slider(10.0, 0.03, 0.3), sp.SmoothBreak(0.02)
     found = waveguide.response(slider_guide(slider), slider.stiffness, 160)
     contacts = Relaxed(found, jnp.ones(160), jnp.zeros(160), jnp.asarray(0.03), 159, jnp.asarray(True))
-    assert float(blocks.faded(contacts, rule)) == pytest.approx(float(sp.precursor_length(slider, rule=rule)), rel=1e-9)
+    assert float(smooth_length(contacts, rule)) == pytest.approx(float(sp.precursor_length(slider, rule=rule)), rel=1e-9)
 
 
 @pytest.mark.slow
@@ -945,7 +945,7 @@ def test_no_elimination_of_a_batch():
     """jaxlib's waits within a thread of XLA's pool for others of it: two at once never end on two cores."""
 
     def eliminations(law):
-        three = resolution.many(np.full(3, 10.0), 0.02, 0.3, 0.3, friction=0.2, contact_law=law)
+        three = size.many(np.full(3, 10.0), 0.02, 0.3, 0.3, friction=0.2, contact_law=law)
         three = eqx.tree_at(lambda x: x.length, three, np.full(3, 20), is_leaf=lambda x: x is None)
         with jax.default_device(jax.devices("cpu")[0]):
             program = (

@@ -1,0 +1,234 @@
+"""The first event of any body: from the relaxed body to the load at which a contact breaks, and to the length of the event.
+
+A body answers ``contacts(interface, sites)`` with its first contacts before loading, `Relaxed`. Derivatives of a length are
+those at a fixed order of breaks.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from slippulse_jax.bodies.chain import Chain, chain, eliminate
+from slippulse_jax.bodies.equilibrium import all_numbers
+from slippulse_jax.bodies.modes import RightEnd
+from slippulse_jax.bodies.response import Response, of_chain
+from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, Event, event, overload, rises
+from slippulse_jax.front.front import FADED, EventKind, Front, first_of, follow, length_or_reason
+from slippulse_jax.interface import Interface, Profile
+from slippulse_jax.rules import SmoothBreak
+from slippulse_jax.slider import Slider
+from slippulse_jax.status import Outcome
+
+ROUNDING = 16
+"""Units in the last place within which numbers along a chain are equal."""
+
+
+class Relaxed(NamedTuple):
+    """A body before it is loaded; stresses in σ_s."""
+
+    response: Response
+    threshold: Float[Array, " N"]  # of contacts that never broke; inf where there is none
+    prestress: Float[Array, " N"]  # the only stress
+    stiffness: Array | float = 1.0  # k, in K
+    last: Int[Array, ""] | int = -1  # index of the last contact, or of the last one resolved
+    valid: Bool[Array, ""] | bool = True  # whether all numbers lie in their domains
+    driver: int = 0  # sites before those of the body: the driver's
+    pressed: Any = None  # `blocks.pressed.Pressed`, where stiffness follows the pressure too; stresses are stretches then
+    alike: Bool[Array, ""] | bool = False  # whether neighbouring contacts are: a first event ends on a curve
+
+    @property
+    def readings(self) -> Float[Array, "r N"]:
+        """The prestress and, where it is read, the initial pressure."""
+        return jnp.stack([self.prestress, jnp.ones_like(self.prestress)])[: len(self.response.push)]
+
+
+def contacts_of_chain(body: Chain, response: Response, driver: int = 0) -> Relaxed:
+    """Contacts of a chain, given its response; of one that begins with sites of a driver, how many these are."""
+    attached = body.contact > 0
+    prestress = jnp.where(attached, body.prestress, 0)
+    holds = (body.threshold > prestress).all() & (body.threshold > 0).all()
+    return Relaxed(
+        response=response,
+        threshold=jnp.where(attached, body.threshold, jnp.inf),
+        prestress=prestress,
+        stiffness=body.stiffness,
+        last=body.sites - 1,
+        valid=all_numbers(body, body.relaxed()) & holds,
+        driver=driver,
+        alike=alike(body, jnp.zeros_like(prestress), driver),
+    )
+
+
+def contacts_of_slider(
+    slider: Slider, interface: Interface | Profile | None, sites: int, right: RightEnd = "semi-infinite"
+) -> Relaxed:
+    """The first contacts of a slider, or all of one that ends."""
+    whole = chain(slider, sites=sites, interface=interface, right=right)
+    return contacts_of_chain(whole, of_chain(whole, eliminate(whole, whole.contact)))
+
+
+def alike(chain: Chain, pinning: Array, start: int = 0) -> Array:
+    """Whether from a site on nothing changes along a chain and its pinning points but thresholds and prestress, evenly."""
+
+    def even(x: Array, order: int) -> Array:
+        return (jnp.abs(jnp.diff(x, order)) <= ROUNDING * jnp.finfo(x.dtype).eps * jnp.abs(x).max()).all()
+
+    bonds = [even(x[start:], 1) for x in (chain.upper, chain.layer, chain.across, chain.contact, pinning)]
+    return jnp.stack([*bonds, even(chain.threshold[start:], 2), even(chain.prestress[start:], 2)]).all()
+
+
+class Nucleation(NamedTuple):
+    """Contacts as the first of them reaches its threshold."""
+
+    first: Int[Array, ""]
+    load: Array
+    readings: Float[Array, "r N"]  # of a `Pressed` body the stretch, in u_s
+    response: Response  # what breaks do from here on
+    pressure: Float[Array, " N"] | None = None  # over the initial one, where anything follows it
+
+
+def nucleated(body: Relaxed) -> Nucleation:
+    """Load a body until a contact is at its threshold."""
+    response, threshold, prestress = body[:3]
+    if body.pressed is not None:
+        found = body.pressed.balance(threshold, prestress, 0 * prestress, 0 * prestress[0])
+        return Nucleation(found.first, found.load, found.stretch[None], body.pressed.frozen(found), found.pressure)
+    needed = rises(response.push, threshold, body.readings)
+    first = jnp.argmin(needed)
+    readings = body.readings + needed[first] * response.push
+    return Nucleation(first, needed[first], readings, response, readings[1] if len(readings) > 1 else None)
+
+
+def first_event(
+    body: Relaxed, limit: Int[Array, ""] | int | None = None, kind: EventKind = "domino"
+) -> tuple[Event, Nucleation]:
+    """Load a body until a contact is at its threshold; break contacts until none is, or the last has broken.
+
+    In the first front no contact breaks again. The event is given up after `limit` breaks, at least one.
+    """
+    start = nucleated(body)
+    return event_from(start, body, limit, kind), start
+
+
+def event_from(
+    start: Nucleation,
+    body: Relaxed,
+    limit: Int[Array, ""] | int | None = None,
+    kind: EventKind = "domino",
+    *,
+    logged: bool = False,
+) -> Event:
+    """The event that a nucleation begins (see `first_event`); with `logged`, it has the order of breaks."""
+    threshold, sites = body.threshold, body.threshold.size
+    most_breaks = BREAKS_PER_SITE * sites
+    return event(
+        start.response,
+        start.readings,
+        threshold,
+        limit=most_breaks if limit is None else limit,
+        renewed=None if kind == "full" else jnp.full_like(threshold, jnp.inf),
+        trigger=start.first,
+        last=jnp.asarray(body.last) % sites,
+        log=(jnp.full(most_breaks + 1, -1, jnp.int32), jnp.zeros(most_breaks + 1, threshold.dtype), 0) if logged else None,
+    )
+
+
+def slopes_of_length(
+    found: Event, start: Nucleation, threshold: Float[Array, " N"], alike: bool | Array
+) -> tuple[Float[Array, "r N"], Float[Array, "N r N"], Float[Array, " N"]]:
+    """Derivatives of ℓ at a fixed order of breaks, in the readings, in what breaks do to them, and in the threshold.
+
+    Of a logged event; `alike` as for its length. From the last break back to the first, λ is the derivative in the readings of
+    every contact: a break of contact o that released t set its stress to zero and added t times its column.
+    """
+    order, each, near = found.order, found.each, start.response.near[0]
+    assert order is not None
+    assert each is not None
+    at, over, degree = found.front_of(alike)
+    ahead, none = jnp.minimum(at + 1, threshold.size - 1), jnp.zeros_like(threshold)
+    of_over, of_short = jax.grad(found.end, (1, 2))(at, over, found.excess[ahead], degree)
+    # of every contact that broke: what its overload as the front passed is to ℓ, and when that was
+    reached = at - jnp.arange(over.size, dtype=at.dtype)
+    of_over, reached = jnp.where(reached >= 0, of_over, 0), jnp.maximum(reached, 0)
+    passed = jnp.argmax(order[None] == reached[:, None], axis=1).astype(jnp.int32)
+    weak, short = threshold[reached], threshold[ahead]  # all can break
+    of_threshold = none.at[reached].add(-of_over * (each[passed] - over) / weak)
+    of_threshold = of_threshold.at[ahead].add(-of_short * (1 if found.pressure is None else found.pressure[ahead]))
+
+    def back(state: tuple) -> tuple:
+        number, of_readings, of_near = state
+        site, t, front = order[number], each[number], jnp.where(number == passed, of_over, 0)
+        of_t = (near[site] * of_readings).sum()
+        of_near = of_near.at[site].add(of_readings * t)
+        passing = jnp.stack([front.sum(), -(front * weak).sum()])[: len(of_readings)]
+        return number - 1, of_readings.at[0, site].set(of_t).at[:, site].add(passing), of_near
+
+    begin = jnp.zeros_like(found.readings).at[:, ahead].add(jnp.stack([of_short, -of_short * short])[: len(found.readings)])
+    _, of_readings, of_near = lax.while_loop(lambda state: state[0] >= 0, back, (found.breaks - 1, begin, jnp.zeros_like(near)))
+    return of_readings, of_near, of_threshold
+
+
+def ended(found: Event, start: Nucleation, body: Relaxed, kind: EventKind) -> tuple[Int[Array, ""], Float[Array, ""]]:
+    """How an event ended, and ℓ."""
+    excess = overload(found.readings, body.threshold)
+    # that of rough contacts decays for ever
+    lifted = [] if found.pressure is None else [(x < LOST).any() for x in (start.readings[1], found.pressure)]
+    again = (excess >= 0) & found.broken if kind == "domino" else jnp.zeros(excess.size, bool)
+    endings = {
+        Outcome.INVALID: ~(body.valid & jnp.isfinite(excess).all()),
+        Outcome.LIFT_OFF: jnp.any(jnp.stack(lifted)) if lifted else jnp.zeros((), bool),
+        Outcome.RAN_THROUGH: found.broken[body.last],
+        Outcome.LIMIT: ((excess >= 0) & ~again).any(),
+        Outcome.NO_DOMINO: found.rightmost == 0,
+        Outcome.REBREAK: again.any(),
+    }
+    status = first_of(endings)
+    return status, length_or_reason(status, found.length(excess, excess.size - 1, body.alike))
+
+
+def length_of(body: Relaxed, kind: EventKind) -> tuple[Float[Array, ""], Int[Array, ""], Int[Array, ""]]:
+    """ℓ of an event, how many contacts broke, and its `Outcome`."""
+    found, start = first_event(body, kind=kind)
+    status, length = ended(found, start, body, kind)
+    return length, found.broken.sum(), status
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(2,))
+def length_from(start: Nucleation, body: Relaxed, kind: EventKind) -> Float[Array, ""]:
+    """ℓ of the event that a nucleation begins."""
+    return ended(event_from(start, body, kind=kind), start, body, kind)[1]
+
+
+@length_from.defjvp
+def _length_jvp(kind: EventKind, primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    """At a fixed order of breaks."""
+    (start, body), (moved, changed) = primals, tangents
+    found = event_from(start, body, kind=kind, logged=True)
+    length = ended(found, start, body, kind)[1]
+    given = moved.readings, moved.response.near[0], changed.threshold
+    slopes = slopes_of_length(found, start, body.threshold, body.alike)
+    change = sum(jax.tree.leaves(jax.tree.map(lambda slope, x: (slope * x).sum(), slopes, given)))
+    return length, change * jnp.where(jnp.isfinite(length), 1, jnp.nan)  # without a length there is no derivative either
+
+
+def smooth_length(contacts: Relaxed, rule: SmoothBreak) -> Float[Array, ""]:
+    """ℓ under a smooth rule, of a front from the edge; inf if it reaches the last contact, NaN if it begins elsewhere."""
+    threshold, last, start = contacts.threshold, contacts.last, nucleated(contacts)
+
+    def ahead(front: Front) -> tuple[Array, Array]:
+        stress, *pressure = front.stress[:, front.position]
+        return stress, threshold[front.position] * (pressure[0] if pressure else 1)
+
+    def release(front: Front, part: Any, released: Array) -> Front:
+        return front._replace(
+            stress=front.stress + start.response.column(front.position) * (part * released), position=front.position + 1
+        )
+
+    at_edge = Front(start.readings, None, None, jnp.int32(0))
+    _, _, part, length = follow(rule, release(at_edge, 1, start.readings[0, 0]), ahead, release, last)
+    valid = contacts.valid & (start.first == 0) & rule.in_domain()
+    return length_or_reason(first_of({Outcome.INVALID: ~valid, Outcome.RAN_THROUGH: part > FADED}), length)
