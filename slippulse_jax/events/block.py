@@ -43,7 +43,7 @@ from slippulse_jax.events.event import (
 )
 from slippulse_jax.front.front import FADED, EventKind, Front, first_of, follow, in_domain, length_or_reason
 from slippulse_jax.interface import Interface, Profile
-from slippulse_jax.rules import HARD, BreakRule, SmoothBreak
+from slippulse_jax.rules import HARD, BreakRule, HardBreak
 from slippulse_jax.shown import in_a_line
 from slippulse_jax.status import Outcome
 from slippulse_jax.units import Numbers
@@ -247,7 +247,7 @@ def _length_from_jvp(kind: EventKind, primals: tuple, tangents: tuple) -> tuple[
     return length, change * jnp.where(jnp.isfinite(length), 1, jnp.nan)  # without a length there is no derivative either
 
 
-def faded(contacts: Relaxed, rule: SmoothBreak) -> Float[Array, ""]:
+def faded(contacts: Relaxed, rule: BreakRule) -> Float[Array, ""]:
     """ℓ under a smooth rule, of a front from the edge; inf if it reaches the last contact, NaN if it begins elsewhere."""
     threshold, last, start = contacts.threshold, contacts.last, nucleated(contacts)
 
@@ -278,11 +278,11 @@ def length(
         here = [x.astype(dtype) for x, dtype in zip(numbers, types, strict=True)]
         block, interface, rule = jax.tree.unflatten(tree, here)
         body = contacts_of(block, interface, sites)
-        if isinstance(rule, SmoothBreak):
+        if not isinstance(rule, HardBreak):
             return faded(body, rule)
         return _length_from(nucleated(body), body, kind)
 
-    first = with_jacobian if isinstance(rule, SmoothBreak) else with_gradient
+    first = with_gradient if isinstance(rule, HardBreak) else with_jacobian
     return by_forward_mode(one, first)(*(x.astype(float) for x in given))  # whole numbers too: the rule joins all tangents
 
 

@@ -30,7 +30,7 @@ from slippulse_jax.events.block import BlockPrecursor, as_type, in_double, is_tr
 from slippulse_jax.events.event import MORE_SITES
 from slippulse_jax.front.front import EventKind
 from slippulse_jax.interface import Interface, Profile
-from slippulse_jax.rules import HARD, BreakRule, SmoothBreak
+from slippulse_jax.rules import HARD, BreakRule, HardBreak
 from slippulse_jax.status import NotConverged, Outcome
 from slippulse_jax.units import Numbers
 
@@ -120,7 +120,7 @@ def precursor_length(
 def _length(
     block: Block, interface: Interface | Profile | None, rule: BreakRule, sites: Numbers | None, kind: EventKind
 ) -> Float[Array, ""]:
-    smooth = isinstance(rule, SmoothBreak)
+    smooth = not isinstance(rule, HardBreak)
     if not smooth and not isinstance(interface, Profile) and _is_tall(block, sites):
         return tall_length(block, interface, kind)[0]
     found = _resolved((block, interface, rule), sites, partial(blocks.length, kind=kind))

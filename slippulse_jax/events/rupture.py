@@ -31,7 +31,7 @@ from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import check_kind, check_whole
 from slippulse_jax.events.event import BREAKS_PER_SITE, event, most
 from slippulse_jax.front.front import first_of, length_or_reason
-from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
+from slippulse_jax.rules import BreakRule, HardBreak, check_rule
 from slippulse_jax.status import Outcome
 
 CLOSEST, ROUNDING = -(2**31), 16
@@ -87,8 +87,8 @@ def rupture(
     state : State, optional
         By default that of the relaxed chain under the load that brings a first contact to its threshold (`nucleate`), which
         then breaks.
-    rule : HardBreak or SmoothBreak, or one derived from it
-        ``SmoothBreak(width)`` is the differentiable surrogate: one sweep from left to right.
+    rule : BreakRule
+        `SmoothBreak`, or one of your own, is the differentiable surrogate: one sweep from left to right.
     trigger : int, optional
         Site that breaks first, as returned by `nucleate`, even if rounding leaves it just below its threshold; −1 for none. By
         default, where no contact is at its threshold, one that only rounding keeps below it; under a smooth rule none. The
@@ -305,7 +305,7 @@ _undifferentiated = without_derivative(
 
 
 @jax.jit
-def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: Array) -> Rupture:
+def smooth_rupture(chain: Chain, state: State, rule: BreakRule, trigger: Array) -> Rupture:
     """Follow one rupture under a smooth rule; differentiable in every field.
 
     The front sweeps from the left edge to the right. It reaches each contact once, loaded by all the stress that the
