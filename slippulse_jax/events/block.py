@@ -27,7 +27,6 @@ from slippulse_jax.bodies import elements, waveguide
 from slippulse_jax.bodies.pressed import balance, pressed
 from slippulse_jax.bodies.response import of_matrix
 from slippulse_jax.bodies.waveguide import Edge, Guide, Slab
-from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import by_forward_mode, with_gradient, with_jacobian
 from slippulse_jax.domains import FRICTION, NORMAL_STIFFNESS
 from slippulse_jax.events.event import (
@@ -166,7 +165,6 @@ def contacts_of(
 
 
 @partial(jax.jit, static_argnames=("sites", "kind"))
-@in_full
 def record(
     block: Block, interface: Interface | Profile | None, sites: int, kind: EventKind, bare: tuple[Edge, Slab] | None = None
 ) -> BlockPrecursor:

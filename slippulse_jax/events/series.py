@@ -29,7 +29,7 @@ from slippulse_jax.bodies.chain import Chain, State, check_linear, driven, float
 from slippulse_jax.bodies.equilibrium import all_numbers, equilibrium
 from slippulse_jax.bodies.pressed import balance, frozen
 from slippulse_jax.bodies.response import Response, shared_response
-from slippulse_jax.bulk.compiler import in_full, lane_by_lane
+from slippulse_jax.bulk.compiler import lane_by_lane
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import Domain, check_kind, check_whole
 from slippulse_jax.events import block as blocks
@@ -230,7 +230,6 @@ def _of_block(shape: Shape, block: Block, interface: Interface | Profile | None,
     return of_matrix_body(shape, blocks.contacts_of(block, interface, 1 << (shape[-1] - 1).bit_length()), loading)
 
 
-@in_full
 def of_matrix_body(shape: Shape, body: Relaxed, loading: Loading) -> Catalogue:
     """Series of the first contacts of a body whose response is a matrix; a spring to the driver makes the pusher give way.
 
