@@ -10,5 +10,4 @@ any order. In the order in which they build on each other:
     `waveguide`         the response of any uniform waveguide on attached contacts; the slider is one of two freedoms
     `pressed`           contacts of such a guide whose stiffness and threshold follow a pressure that the push tilts
     `elements`          a block under two-dimensional elasticity as such a guide: graded columns of finite elements
-    `distribution`      contacts of many junctions, their force law and stability
 """
