@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 from slippulse_jax.domains import FRICTION, HEIGHT, NORMAL_STIFFNESS, POISSON, STIFFNESS, Domain, check_choice, check_kind
 from slippulse_jax.shown import html, in_a_line, short
 from slippulse_jax.slider import Real, Slider, from_si
-from slippulse_jax.units import Numbers, are_numbers, as_float, floats_or_axes, quantity_field
+from slippulse_jax.units import Numbers, as_float, quantity_field
 
 if TYPE_CHECKING:
     from slippulse_jax.events.first import Relaxed
@@ -37,9 +37,8 @@ LENGTH = Domain(1, 2**31 - 1, "a block is at least two contacts long")
 OF_SIDE = Domain(0, 1, "must lie in (0, 1): a part of the height of the block")
 
 
-def _side(x: Any) -> Any:
-    """A height over H; whole numbers, which none is, may be axes of ``jax.vmap``."""
-    return x if x is None or type(x) is int else as_float(x)
+def _float_or_none(x: Any) -> Any:
+    return None if x is None else as_float(x)
 
 
 def _finite_or_none(x: Any) -> Any:
@@ -77,8 +76,8 @@ class Push(eqx.Module):
         If it does not lie on the side; values traced by JAX are not checked.
     """
 
-    height: Float[Real, ""] | None = eqx.field(default=None, converter=_side)
-    width: Float[Real, ""] | None = eqx.field(default=None, converter=_side)
+    height: Float[Real, ""] | None = eqx.field(default=None, converter=_float_or_none)
+    width: Float[Real, ""] | None = eqx.field(default=None, converter=_float_or_none)
     control: Control = eqx.field(default="displacement", static=True)
 
     if TYPE_CHECKING:  # types that the converters accept
@@ -89,11 +88,6 @@ class Push(eqx.Module):
 
     def __check_init__(self) -> None:
         check_choice("Push.control", self.control, Control)
-        if type(self.height) is not int and type(self.width) is not int:
-            self.check()
-
-    def check(self) -> None:
-        """Check that it lies on the side."""
         if self.height is None:
             if self.width is not None:
                 raise ValueError("Push.width is given without a height: say at what height its centre is")
@@ -176,11 +170,6 @@ class Block(eqx.Module):
     ------
     ValueError
         If a value lies outside its domain; values traced by JAX are not checked.
-
-    Notes
-    -----
-    Under ``jax.vmap`` axes are given as for a `Slider`: ``in_axes=(Block(0, None, None, Push(0)),)`` maps the heights of block
-    and push.
     """
 
     height: Float[Real, ""] = quantity_field("H/\\lambda_c", "1", "", "height of the block, H/λc")
@@ -196,10 +185,10 @@ class Block(eqx.Module):
 
     def __init__(
         self,
-        height: Numbers | None,
-        stiffness: Numbers | None,
-        poisson: Numbers | None,
-        push: Push | int | None = Push(0.25),  # noqa: B008 - a constant
+        height: Numbers,
+        stiffness: Numbers,
+        poisson: Numbers,
+        push: Push = Push(0.25),  # noqa: B008 - a constant
         plane: Plane = "stress",
         length: Numbers | None = None,
         normal_stiffness: Numbers | None = None,
@@ -207,28 +196,19 @@ class Block(eqx.Module):
         contact_law: ContactLaw = "amontons",
         top: Top = "free",
     ) -> None:
-        self.height, self.stiffness, self.poisson = floats_or_axes(height, stiffness, poisson)
-        axes = not are_numbers(self.height, self.stiffness, self.poisson)
-        self.push, self.plane = push, plane  # pyright: ignore[reportAttributeAccessIssue] - an axis, in a tree of axes
-        self.length = length if axes else _whole_or_none(length)  # pyright: ignore[reportAttributeAccessIssue]
-        if friction is not None and not axes:
-            friction = as_float(friction)
-            given = _finite_or_none(normal_stiffness)
-            rigid = given is None and normal_stiffness is not None
-            normal_stiffness = given if given is not None else as_float(RIGID if rigid else USUAL_NORMAL_STIFFNESS)
-        self.normal_stiffness = normal_stiffness if axes else _finite_or_none(normal_stiffness)  # pyright: ignore
-        self.friction = friction  # pyright: ignore[reportAttributeAccessIssue]
-        self.contact_law, self.top = contact_law, top
+        self.height, self.stiffness, self.poisson = as_float(height), as_float(stiffness), as_float(poisson)
+        self.push, self.plane, self.contact_law, self.top = push, plane, contact_law, top
+        self.length, self.friction = _whole_or_none(length), _float_or_none(friction)
+        self.normal_stiffness = _finite_or_none(normal_stiffness)
+        if friction is not None and self.normal_stiffness is None:
+            self.normal_stiffness = as_float(USUAL_NORMAL_STIFFNESS if normal_stiffness is None else RIGID)
 
     def __check_init__(self) -> None:
         for name, choices in (("plane", Plane), ("contact_law", ContactLaw), ("top", Top)):
             check_choice(f"Block.{name}", getattr(self, name), choices)
-        if not are_numbers(self.height, self.stiffness, self.poisson):
-            return
         if self.friction is None and self.contact_law != "amontons":
             raise ValueError(f"Block.contact_law = {self.contact_law!r}: says what follows the pressure: give friction too")
         check_kind("Block.push", self.push, Push)
-        self.push.check()
         domains = {"height": HEIGHT, "stiffness": STIFFNESS, "poisson": POISSON, "normal_stiffness": NORMAL_STIFFNESS}
         domains["friction"] = FRICTION
         for name, domain in domains.items():

@@ -15,7 +15,7 @@ from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.domains import PRESTRESS, THRESHOLD, THRESHOLD_SLOPE, check_domain, check_whole
 from slippulse_jax.shown import in_a_line
-from slippulse_jax.units import Numbers, are_numbers, floats_or_axes, quantity_field
+from slippulse_jax.units import Numbers, as_float, quantity_field
 
 
 def check_contacts(owner: str, threshold: AnyArrayLike, prestress: AnyArrayLike) -> None:
@@ -69,8 +69,7 @@ class Interface(eqx.Module):
 
     Notes
     -----
-    `prestress` and `threshold_slope` broadcast with the fields of a `Slider`. Of ``jax.vmap``, ``in_axes=(None, 0)`` maps both,
-    and ``in_axes=(None, Interface(0, None))`` the prestress only.
+    `prestress` and `threshold_slope` broadcast with the fields of a `Slider`.
     """
 
     prestress: Float[AnyArrayLike, "..."] = quantity_field(
@@ -81,8 +80,8 @@ class Interface(eqx.Module):
     )
     repin_delay: int = eqx.field(default=0, static=True, converter=_python_int)
 
-    def __init__(self, prestress: Numbers | None = 0.0, threshold_slope: Numbers | None = 0.0, repin_delay: int = 0) -> None:
-        self.prestress, self.threshold_slope = floats_or_axes(prestress, threshold_slope)
+    def __init__(self, prestress: Numbers = 0.0, threshold_slope: Numbers = 0.0, repin_delay: int = 0) -> None:
+        self.prestress, self.threshold_slope = as_float(prestress), as_float(threshold_slope)
         self.repin_delay = repin_delay
 
     def __repr__(self) -> str:
@@ -90,8 +89,6 @@ class Interface(eqx.Module):
 
     def __check_init__(self) -> None:
         check_whole("Interface.repin_delay", self.repin_delay, 0)
-        if not are_numbers(self.prestress, self.threshold_slope):
-            return
         PRESTRESS.check("Interface.prestress", self.prestress)
         THRESHOLD_SLOPE.check("Interface.threshold_slope", self.threshold_slope)
 
@@ -151,14 +148,12 @@ class Profile(eqx.Module):
     prestress: Float[AnyArrayLike, "..."] = quantity_field("\\varphi_i", "\\sigma_s", default=0.0)
     repin_delay: int = eqx.field(default=0, static=True, converter=_python_int)
 
-    def __init__(self, threshold: Numbers | None, prestress: Numbers | None = 0.0, repin_delay: int = 0) -> None:
-        self.threshold, self.prestress = floats_or_axes(threshold, prestress)
+    def __init__(self, threshold: Numbers, prestress: Numbers = 0.0, repin_delay: int = 0) -> None:
+        self.threshold, self.prestress = as_float(threshold), as_float(prestress)
         self.repin_delay = repin_delay
 
     def __check_init__(self) -> None:
         check_whole("Profile.repin_delay", self.repin_delay, 0)
-        if not are_numbers(self.threshold, self.prestress):
-            return
         if np.ndim(self.threshold) != 1 or np.size(self.threshold) == 0:
             raise ValueError(f"Profile.threshold has shape {np.shape(self.threshold)}: must be (n,), with at least one value")
         if np.shape(self.prestress) not in ((), np.shape(self.threshold)):

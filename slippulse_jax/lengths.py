@@ -23,7 +23,7 @@ from slippulse_jax.front import lanes
 from slippulse_jax.front.arrest import arrest, check_at_once, check_max_contacts, report_without_length
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, Arrest, EventKind, LengthDerivatives, check_event
 from slippulse_jax.interface import Interface, check_bulk
-from slippulse_jax.rules import HARD, BreakRule, SmoothBreak, check_rule
+from slippulse_jax.rules import HARD, BreakRule, HardBreak, check_rule
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 from slippulse_jax.units import Numbers
@@ -123,14 +123,14 @@ def lengths(
 ) -> Any:
     """`precursor_lengths` without warnings."""
     check_event(event)
+    check_rule(rule)
     if event == "full":
         return whole_lengths(slider, interface, rule, ends, max_contacts, derivatives)
-    check_rule(rule)
     check_max_contacts(max_contacts)
     if derivatives not in (0, 1):
         raise ValueError(f"derivatives = {derivatives!r}: must be 0 or 1, the highest order of derivatives wanted")
     check_at_once(interface, rule)
-    smooth = isinstance(rule, SmoothBreak)
+    smooth = not isinstance(rule, HardBreak)
     columns, shape, kind = _columns(slider, interface, rule, ends)
     general, own = general_kernel(kind, max_contacts, derivatives), columns
     if smooth or (derivatives and not _is_simple(interface, ends)) or (interface is not None and interface.repin_delay):
@@ -172,7 +172,7 @@ def whole_lengths(
     slider: Slider, interface: Interface | None, rule: BreakRule, ends: Ends, max_contacts: int, derivatives: int = 0
 ) -> Any:
     """Lengths of fronts, and of whole events where contacts break again."""
-    if rule is not HARD or (interface is not None and interface.repin_delay):
+    if not isinstance(rule, HardBreak) or (interface is not None and interface.repin_delay):
         raise ValueError("event = 'full': needs the hard rule, and contacts that repin at once")
     sites = None if ends.sites is None else float(np.ravel(ends.sites)[0])
     if ends.machine is not None or sites is not None and not (np.all(ends.sites == sites) and sites.is_integer()):

@@ -39,7 +39,7 @@ from slippulse_jax.front.arrest import (
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, Contacts, EventKind, check_event
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lengths import whole_lengths
-from slippulse_jax.rules import HARD, BreakRule, SmoothBreak, check_rule
+from slippulse_jax.rules import HARD, BreakRule, HardBreak, check_rule
 from slippulse_jax.shown import html, in_a_line, short
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
@@ -140,7 +140,7 @@ def precursor_length(
     interface : Interface or Profile, optional
         Prestress, thresholds and repinning; the paper's own (relaxed, uniform, immediate) by default. An `Interface`
         broadcasts with the slider; a `Profile` belongs to one slider.
-    rule : HardBreak or SmoothBreak, or one derived from it
+    rule : BreakRule
         What a contact does at its threshold: breaks as a whole (the paper's rule), or gradually, over a width. The smooth
         length tends to that on a straight line as it gets narrower, and has a derivative in the width too; for contacts that
         repin at once, and blocks on which the event begins at the edge.
@@ -200,7 +200,7 @@ def precursor_length(
     if isinstance(slider, Block):
         _check_of_block(interface, right=right, machine=machine, max_contacts=max_contacts)
         check_rule(rule, one=True)
-        if event == "full" and isinstance(rule, SmoothBreak):
+        if event == "full" and not isinstance(rule, HardBreak):
             raise ValueError("event = 'full': under a smooth rule a front passes each contact once, so there is no other event")
         return size.precursor_length(slider, interface, sites, rule, event)
     if event == "full":

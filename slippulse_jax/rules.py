@@ -1,5 +1,6 @@
 """Break rules: what a λ-contact does at its threshold."""
 
+from abc import abstractmethod
 from typing import Any
 
 import equinox as eqx
@@ -16,7 +17,42 @@ from slippulse_jax.units import quantity_field
 WIDTH = Domain(0.999e-6, 1, "must lie in [1e-6, 1], in σ_s", closed=True)
 
 
-class HardBreak(eqx.Module):
+class BreakRule(eqx.Module):
+    """Base of the break rules: how much of a contact breaks when the front reaches it.
+
+    Derive a class that defines `broken` and `overloaded_length`, and pass an object of it as ``rule=``. Both methods are called
+    with scalars. A field that is a number broadcasts and has derivatives, as `SmoothBreak.width` does; any other field must be
+    ``equinox.field(static=True)``, and hashable.
+
+    Raises
+    ------
+    TypeError
+        If the class defines only one of the two methods.
+    """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        given = [name for name in ("broken", "overloaded_length") if name in vars(cls)]
+        if len(given) == 1:
+            raise TypeError(f"{cls.__name__} defines `{given[0]}` alone: a break rule defines `broken` and `overloaded_length`")
+
+    @abstractmethod
+    def broken(self, stress: Array, threshold: Array) -> Array:
+        """Fraction of a contact that breaks under a stress, from 0 to 1; both in σ_s."""
+
+    @abstractmethod
+    def overloaded_length(self, before: Array, after: Array, threshold_before: Array, threshold_after: Array) -> Array:
+        """Integral of that fraction from one contact to the next, in λc.
+
+        Stress and threshold are linear in between.
+        """
+
+    def in_domain(self) -> Any:
+        """Whether its numbers, traced ones too, lie in their domains; by default they may be any."""
+        return True
+
+
+class HardBreak(BreakRule):
     """The paper's rule: a contact at or above its threshold breaks as a whole and repins at once, at zero stretch."""
 
     def broken(self, stress: Array, threshold: Array) -> Array:
@@ -34,15 +70,11 @@ class HardBreak(eqx.Module):
         part = jnp.maximum(a, b) / jnp.where(crosses, jnp.abs(a - b), 1)
         return jnp.where(crosses, part, (a >= 0).astype(part.dtype))
 
-    def in_domain(self) -> bool:
-        """Whether its numbers lie in their domains; there are none."""
-        return True
-
 
 HARD = HardBreak()
 
 
-class SmoothBreak(eqx.Module):
+class SmoothBreak(BreakRule):
     """A λ-contact of many micro-junctions with thresholds of their own.
 
     Those that reach theirs break.
@@ -65,10 +97,6 @@ class SmoothBreak(eqx.Module):
         p(t) = [σ((t − θ)/w) − σ(−θ/w)] / σ(θ/w),        σ(x) = 1/(1 + e^{−x}),
 
     of them breaks and repins at zero stretch, so that the contact releases the stress p t. p → 1 [t ≥ θ] as w → 0.
-
-    For another law, derive a class with `broken` and `overloaded_length` of its own; both are called with scalars. Further
-    fields that are numbers take part in batches and derivatives as the width does; any other field must be
-    ``equinox.field(static=True)``, and hashable.
     """
 
     width: Float[AnyArrayLike, "..."] = quantity_field("w", "\\sigma_s", name="width of the smooth break rule", default=0.01)
@@ -149,33 +177,23 @@ def _mean_sigmoid(a: Array, b: Array) -> Array:
     return jnp.where(close, s + d**2 / 24 * curvature * (1 + d**2 / 80 * (1 - 12 * q)), ramp + bend)
 
 
-BreakRule = HardBreak | SmoothBreak
-
-
 NUMBER = (jax.Array, np.ndarray, np.generic, int, float)
 
 
 def check_rule(rule: Any, *, one: bool = False) -> None:
-    """Check that `rule` is a break rule, a single one if `one`, and that all its methods are used.
+    """Check that `rule` is a break rule, a single one if `one`.
 
-    A TypeError if it is no rule, or if a class derived from `SmoothBreak` has a field that is neither a number nor static, or
-    overrides `broken` without `overloaded_length`; a ValueError if it is a batch where a single rule is needed.
+    A TypeError if it is no rule, is derived from `HardBreak`, of which no method would be used, or has a field that is neither
+    a number nor static; a ValueError if it is a batch where a single rule is needed.
     """
     if type(rule) is HardBreak:
         return
     name = type(rule).__name__
-    if not isinstance(rule, SmoothBreak):
-        raise TypeError(f"rule = {rule!r}: must be HardBreak(), or SmoothBreak(width) or a rule derived from it")
-    if _depth(rule, "broken") < _depth(rule, "overloaded_length"):
-        raise TypeError(f"{name} overrides `broken` but not `overloaded_length`, its mean between two contacts: write both")
+    if isinstance(rule, HardBreak) or not isinstance(rule, BreakRule):
+        raise TypeError(f"rule = {rule!r}: must be HardBreak(), SmoothBreak(width), or a rule derived from BreakRule")
     for path, value in jax.tree_util.tree_leaves_with_path(rule):
         field = name + jax.tree_util.keystr(path)
         if not isinstance(value, NUMBER):
             raise TypeError(f"{field} = {value!r}: must be a number or an array, or equinox.field(static=True)")
         if one and np.shape(value):
             raise ValueError(f"{field} has shape {np.shape(value)}: must be one rule; use jax.vmap for several")
-
-
-def _depth(rule: SmoothBreak, method: str) -> int:
-    """Number of classes between that of `rule` and the one that defines the method."""
-    return next(i for i, ancestor in enumerate(type(rule).__mro__) if method in vars(ancestor))

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from slippulse_jax.domains import CORRELATION_LENGTH, HEIGHT, POISSON, STIFFNESS, YOUNG, Domain
 from slippulse_jax.shown import html, in_a_line, short
-from slippulse_jax.units import Numbers, are_numbers, as_float, at_least_single, floats_or_axes, quantity, quantity_field
+from slippulse_jax.units import Numbers, as_float, at_least_single, quantity, quantity_field
 
 if TYPE_CHECKING:
     from slippulse_jax.bodies.modes import RightEnd
@@ -54,8 +54,8 @@ class Slider(eqx.Module):
     -----
     The three broadcast against each other: a `Slider` of arrays is a batch of sliders. It is a pytree, so that ``jax.vmap``
     and ``jax.grad`` work through it. ``jax.vmap(f)`` maps an axis of every field, and where a field has none JAX says only that
-    "its rank should be at least 1": broadcast them, ``Slider(*jnp.broadcast_arrays(height, 0.03, 0.3))``, or name the axis,
-    ``jax.vmap(f, in_axes=(Slider(0, None, None),))``.
+    "its rank should be at least 1": broadcast them, ``Slider(*jnp.broadcast_arrays(height, 0.03, 0.3))``, or map the numbers,
+    ``jax.vmap(lambda height: f(Slider(height, 0.03, 0.3)))``.
 
     Examples
     --------
@@ -68,12 +68,10 @@ class Slider(eqx.Module):
     stiffness: Float[Real, "..."] = quantity_field("k/K", "1", "cra41", "contact stiffness, k/K")
     poisson: Float[Real, "..."] = quantity_field("\\nu", "1", "cra05", "Poisson's ratio")
 
-    def __init__(self, height: Numbers | None, stiffness: Numbers | None, poisson: Numbers | None) -> None:
-        self.height, self.stiffness, self.poisson = floats_or_axes(height, stiffness, poisson)
+    def __init__(self, height: Numbers, stiffness: Numbers, poisson: Numbers) -> None:
+        self.height, self.stiffness, self.poisson = as_float(height), as_float(stiffness), as_float(poisson)
 
     def __check_init__(self) -> None:
-        if not are_numbers(self.height, self.stiffness, self.poisson):
-            return
         for name, domain in _DOMAIN.items():
             domain.check(f"Slider.{name}", getattr(self, name))
         try:

@@ -4,8 +4,7 @@ They are kept on the fields and properties that hold the numbers.
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from numbers import Number
+from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -80,24 +79,6 @@ def quantities(cls: type) -> dict[str, Quantity]:
         if mark is not None:
             found[name] = mark
     return found
-
-
-def floats_or_axes(*values: Any) -> list[Any]:
-    """Convert all to floating point, as `as_float` does; or none, where they stand in the places of numbers.
-
-    JAX takes trees of axes such as ``in_axes=(Slider(0, None, None),)``: whole numbers and at least one None. Objects that are
-    no numbers, such as ``object()``, stay as they are too.
-    """
-    numbers = (Number, str, bytes, Sequence)
-    other = [not (isinstance(x, numbers) or hasattr(x, "__array__") or hasattr(x, "__float__")) for x in values]
-    if any(other) and all(no_number or type(x) is int for x, no_number in zip(values, other, strict=True)):
-        return list(values)
-    return [as_float(x) for x in values]
-
-
-def are_numbers(*values: Any) -> bool:
-    """Whether `floats_or_axes` converted the values."""
-    return all(isinstance(x, jax.Array | np.ndarray) for x in values)
 
 
 def as_float(x: Any) -> Any:

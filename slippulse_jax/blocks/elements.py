@@ -16,7 +16,6 @@ from jaxtyping import Array, Float
 
 from slippulse_jax.block import Block
 from slippulse_jax.blocks.guide import Along, Slab, doubled, joined
-from slippulse_jax.bulk.compiler import in_full
 
 AT_INTERFACE = 0.25
 """Height of the elements at the interface, roughly, in λc."""
@@ -79,7 +78,6 @@ _ENERGIES, _PRODUCTS = _integrals()
 _MEANS = _PRODUCTS.sum(0)
 
 
-@in_full
 def element(width: Array | float, height: Array, poisson: Array) -> Float[Array, "18 18"]:
     """Stiffness of a rectangle under plane stress, E = 1; (u_x, u_y) of nine nodes, row by row from below."""
     one, none = jnp.ones_like(poisson), jnp.zeros_like(poisson)

@@ -24,14 +24,13 @@ from slippulse_jax.blocks import guide as waveguide
 from slippulse_jax.blocks.guide import Edge, Guide, Slab
 from slippulse_jax.blocks.pressed import pressed
 from slippulse_jax.bodies.response import of_matrix
-from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.bulk.double import in_double
 from slippulse_jax.derivatives import by_forward_mode, with_gradient, with_jacobian
 from slippulse_jax.domains import FRICTION, NORMAL_STIFFNESS
 from slippulse_jax.events.first import Relaxed, ended, first_event, length_from, nucleated, smooth_length
 from slippulse_jax.front.front import EventKind, in_domain
 from slippulse_jax.interface import Interface, Profile
-from slippulse_jax.rules import HARD, BreakRule, SmoothBreak
+from slippulse_jax.rules import HARD, BreakRule, HardBreak
 from slippulse_jax.shown import in_a_line
 from slippulse_jax.status import Outcome
 
@@ -115,7 +114,6 @@ def contacts_of(
 
 
 @partial(jax.jit, static_argnames=("sites", "kind"))
-@in_full
 def record(
     block: Block, interface: Interface | Profile | None, sites: int, kind: EventKind, bare: tuple[Edge, Slab] | None = None
 ) -> BlockPrecursor:
@@ -165,11 +163,11 @@ def length(
         here = [x.astype(dtype) for x, dtype in zip(numbers, types, strict=True)]
         block, interface, rule = jax.tree.unflatten(tree, here)
         body = contacts_of(block, interface, sites)
-        if isinstance(rule, SmoothBreak):
+        if not isinstance(rule, HardBreak):
             return smooth_length(body, rule)
         return length_from(nucleated(body), body, kind)
 
-    first = with_jacobian if isinstance(rule, SmoothBreak) else with_gradient
+    first = with_gradient if isinstance(rule, HardBreak) else with_jacobian
     return by_forward_mode(one, first)(*(x.astype(float) for x in given))  # whole numbers too: the rule joins all tangents
 
 

@@ -32,7 +32,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.bodies.response import Response, of_matrix
-from slippulse_jax.bulk.compiler import in_full, inverse_without_pivots
+from slippulse_jax.bulk.compiler import inverse_without_pivots
 
 DOUBLINGS = 40
 """Most doublings of a slab; one of 2⁴⁰ contacts is as long as any decay."""
@@ -113,28 +113,24 @@ def inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
 
 
 @jax.custom_jvp
-@in_full
 def inverse_of_definite(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """Inverse of a symmetric positive definite matrix."""
     return inverse_without_pivots(matrix)
 
 
 @inverse.defjvp
-@in_full
 def _inverse_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
     found = inverse(primals[0])
     return found, -found @ tangents[0] @ found
 
 
 @inverse_of_definite.defjvp
-@in_full
 def _inverse_of_definite_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
     found = inverse_of_definite(primals[0])
     return found, -found @ tangents[0] @ found
 
 
 @jax.custom_jvp
-@in_full
 def taken_away(X: Float[Array, "n n"], G: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """(X⁻¹ − G)⁻¹ of symmetric matrices, definite as their difference.
 
@@ -147,7 +143,6 @@ def taken_away(X: Float[Array, "n n"], G: Float[Array, "n n"]) -> Float[Array, "
 
 
 @taken_away.defjvp
-@in_full
 def _taken_away_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
     (X, G), (dX, dG) = primals, tangents
     found = taken_away(X, G)
@@ -155,7 +150,6 @@ def _taken_away_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array])
     return found, share.T @ dX @ share + found @ dG @ found
 
 
-@in_full
 def doubled(slab: Slab, along: Along) -> Slab:
     """Join two slabs in a row."""
     read = slab.reading_right + slab.reading_left
@@ -163,7 +157,6 @@ def doubled(slab: Slab, along: Along) -> Slab:
     return joined(apart, slab.across, 2 * slab.left, read, along)
 
 
-@in_full
 def joined(
     sides: Slab, toward: Float[Array, "n n"], middle: Float[Array, "n n"], read: Float[Array, "r n"], along: Along
 ) -> Slab:
@@ -224,7 +217,6 @@ def driving_point(slab: Slab, along: Along) -> Float[Array, "n n"]:
 
 
 @driving_point.defjvp
-@in_full
 def _driving_point_jvp(along: Along, primals: tuple[Slab], tangents: tuple[Slab]) -> tuple[Array, Array]:
     """One slab more changes nothing: dX = F + Tᵀ dX T, F from the change of that slab."""
     (slab,), (change,) = primals, tangents
@@ -249,7 +241,6 @@ def _over_columns(T: Float[Array, "n n"], first: Float[Array, " n"]) -> Float[Ar
     )
 
 
-@in_full
 def _by_doubling(T: Float[Array, "n n"], first: Array, carried: Callable[[Array, Array], Array]) -> Array:
     """Sum over m of what T^m carries on, by twice as many terms each time, until no more is carried."""
 
@@ -264,7 +255,6 @@ def _by_doubling(T: Float[Array, "n n"], first: Array, carried: Callable[[Array,
     return lax.while_loop(felt, twice, (T, first, jnp.int32(0)))[1]
 
 
-@in_full
 def edge(layers: Slab, displaced: Float[Array, " n"], force: Float[Array, " n"]) -> Edge:
     """Eliminate what lies left of column 1, but for the spring of contact 0.
 
@@ -311,7 +301,6 @@ def attached_edge(edge: Edge, contact: Array) -> Edge:
     )
 
 
-@in_full
 def guide(edge: Edge, slab: Slab, contact: Array, along: Along, length: Int[Array, ""] | None = None) -> Guide:
     """The guide of a slab on contacts; half-infinite, or of `length` slabs, two or more, with a free end.
 
@@ -350,7 +339,6 @@ def _power(T: Float[Array, "n n"], exponent: Int[Array, ""]) -> Float[Array, "n 
     return lax.scan(next_bit, (T, jnp.eye(len(T), dtype=T.dtype)), every)[0][1]
 
 
-@in_full
 def readings(guide: Guide, sites: int) -> Float[Array, "N r n"]:
     """q_0 … q_{N−1} of the uniform guide, which begins at column 1."""
     slab, T = guide.slab, guide.transfer
@@ -361,21 +349,18 @@ def readings(guide: Guide, sites: int) -> Float[Array, "N r n"]:
 
 
 @jax.custom_jvp
-@in_full
 def _carried(T: Float[Array, "n n"], given: Float[Array, "N r n"]) -> Float[Array, "N r n"]:
     """Rows that T carries from column to column, with what each column is given."""
     return lax.scan(lambda q, here: ((after := q @ T + here), after), jnp.zeros_like(given[0]), given)[1]
 
 
 @_carried.defjvp
-@in_full
 def _carried_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
     """What a change of T gives to all columns is one product, in reverse mode too."""
     T, found = primals[0], _carried(*primals)
     return found, _carried(T, tangents[1].at[1:].add(found[:-1] @ tangents[0]))
 
 
-@in_full
 def compliance(
     guide: Guide, sites: int, read: int = 1, sources: int = 1
 ) -> tuple[Float[Array, "N s r N"], Float[Array, "r N"]]:
@@ -419,7 +404,6 @@ def compliance(
     return A * both, t * there[None]
 
 
-@in_full
 def held_by_all(guide: Guide, t: Float[Array, "r N"]) -> Array:
     """Sum of t over all contacts, beyond those resolved too."""
     if guide.end is not None:
@@ -440,7 +424,6 @@ def response(guide: Guide, contact: Array, sites: int, relief: Array | None = No
     return of_matrix(contact * A[:, 0] * sign[None], t * sign, contact * held_by_all(guide, t))
 
 
-@in_full
 def columns(guide: Guide, contact: Array, load: Array, pinning: Float[Array, " N"]) -> Float[Array, "N+1 n"]:
     """Displacements of columns 0 … N under a load and pinning points of the first N contacts; of a guide that ends, of all."""
     edge, slab, T = guide.edge, guide.slab, guide.transfer

@@ -32,7 +32,7 @@ from slippulse_jax.events.event import MORE_SITES
 from slippulse_jax.events.first import length_of
 from slippulse_jax.front.front import EventKind
 from slippulse_jax.interface import Interface, Profile
-from slippulse_jax.rules import HARD, BreakRule, SmoothBreak
+from slippulse_jax.rules import HARD, BreakRule, HardBreak
 from slippulse_jax.status import NotConverged, Outcome
 from slippulse_jax.units import Numbers
 
@@ -122,7 +122,7 @@ def precursor_length(
 def _length(
     block: Block, interface: Interface | Profile | None, rule: BreakRule, sites: Numbers | None, kind: EventKind
 ) -> Float[Array, ""]:
-    smooth = isinstance(rule, SmoothBreak)
+    smooth = not isinstance(rule, HardBreak)
     if not smooth and not isinstance(interface, Profile) and _is_tall(block, sites):
         return tall_length(block, interface, kind)[0]
     found = _resolved((block, interface, rule), sites, partial(blocks.length, kind=kind))

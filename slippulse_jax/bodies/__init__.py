@@ -7,5 +7,4 @@ any order. In the order in which they build on each other:
     `chain`             any chain: springs, contacts and thresholds may differ from site to site; its O(N) elimination
     `equilibrium`       forces of a chain in balance, with derivatives
     `response`          what a push and a break do to every contact: of a chain, of a matrix, of a slider
-    `distribution`      contacts of many junctions, their force law and stability
 """

@@ -95,6 +95,7 @@ def in_full(f: F) -> F:
     """Compute the matrix products of `f`, and of its derivatives, in the full precision of their type.
 
     It goes where a product is written, and on the rule of a derivative that has one: JAX notes the precision when it traces.
+    Blocks need none: they are computed in double precision, which every accelerator multiplies in full.
     """
 
     @functools.wraps(f)

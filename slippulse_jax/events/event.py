@@ -102,7 +102,7 @@ class Event(NamedTuple):
         return end_of_front((at + 1).astype(over.dtype), (excess, nearest, *over[1:]), degree)
 
 
-def overload(readings: Float[Array, "r N"], threshold: Float[Array, " N"]) -> Float[Array, " N"]:
+def overload(readings: Float[Array, "r *N"], threshold: Float[Array, "*N"]) -> Float[Array, "*N"]:
     """How far contacts are over their threshold, which follows the pressure where that is read."""
     if len(readings) == 1:
         return readings[0] - threshold

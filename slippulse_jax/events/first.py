@@ -19,7 +19,7 @@ from slippulse_jax.bodies.response import Response, of_chain
 from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, Event, event, overload, rises
 from slippulse_jax.front.front import FADED, EventKind, Front, first_of, follow, length_or_reason
 from slippulse_jax.interface import Interface, Profile
-from slippulse_jax.rules import SmoothBreak
+from slippulse_jax.rules import BreakRule
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
@@ -215,7 +215,7 @@ def _length_jvp(kind: EventKind, primals: tuple, tangents: tuple) -> tuple[Array
     return length, change * jnp.where(jnp.isfinite(length), 1, jnp.nan)  # without a length there is no derivative either
 
 
-def smooth_length(contacts: Relaxed, rule: SmoothBreak) -> Float[Array, ""]:
+def smooth_length(contacts: Relaxed, rule: BreakRule) -> Float[Array, ""]:
     """ℓ under a smooth rule, of a front from the edge; inf if it reaches the last contact, NaN if it begins elsewhere."""
     threshold, last, start = contacts.threshold, contacts.last, nucleated(contacts)
 

@@ -13,8 +13,9 @@ stresses, |δt_i| ≤ n (ε + 8u) t_i for every contact after n breaks. The erro
 repin lose most of theirs. The final fields are solved afresh, and `Rupture.drift` is the difference.
 """
 
+from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -29,10 +30,10 @@ from slippulse_jax.bodies.response import Response, propagators, shared_response
 from slippulse_jax.bulk.compiler import lane_by_lane
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import check_kind, check_whole
-from slippulse_jax.events.event import BREAKS_PER_SITE, event, most
+from slippulse_jax.events.event import BREAKS_PER_SITE, event, most, rises
 from slippulse_jax.events.first import ROUNDING, alike
 from slippulse_jax.front.front import first_of, length_or_reason
-from slippulse_jax.rules import BreakRule, HardBreak, SmoothBreak, check_rule
+from slippulse_jax.rules import BreakRule, HardBreak, check_rule
 from slippulse_jax.status import Outcome
 
 CLOSEST = -(2**31)
@@ -88,8 +89,8 @@ def rupture(
     state : State, optional
         By default that of the relaxed chain under the load that brings a first contact to its threshold (`nucleate`), which
         then breaks.
-    rule : HardBreak or SmoothBreak, or one derived from it
-        ``SmoothBreak(width)`` is the differentiable surrogate: one sweep from left to right.
+    rule : BreakRule
+        `SmoothBreak`, or one of your own, is the differentiable surrogate: one sweep from left to right.
     trigger : int, optional
         Site that breaks first, as returned by `nucleate`, even if rounding leaves it just below its threshold; −1 for none. By
         default, where no contact is at its threshold, one that only rounding keeps below it; under a smooth rule none. The
@@ -175,14 +176,12 @@ def nucleate(chain: Chain, state: State | None = None) -> tuple[State, Int[Array
 @jax.jit
 def _nucleate(chain: Chain, state: State) -> tuple[State, Int[Array, ""]]:
     now = equilibrium(chain, state).stress
-    per_load = jnp.where(chain.contact > 0, equilibrium(chain, State(state.pinning, state.load + 1)).stress - now, 0)
-    pulled = per_load > 0
-    missing = jnp.where(pulled, (chain.threshold - now) / jnp.where(pulled, per_load, 1), jnp.inf)
-    overloaded = ((now >= chain.threshold) & (chain.contact > 0)).any()
-    site = jnp.argmin(missing).astype(jnp.int32)
-    return State(state.pinning, state.load + jnp.where(overloaded, 0, missing[site])), jnp.where(
-        overloaded | ~pulled.any(), -1, site
-    )
+    push = equilibrium(chain, State(state.pinning, state.load + 1)).stress - now
+    threshold = jnp.where(chain.contact > 0, chain.threshold, jnp.inf)
+    needed = rises(push[None], threshold, now[None])
+    site = jnp.argmin(needed).astype(jnp.int32)
+    rise = jnp.where((now >= threshold).any(), 0, needed[site])
+    return State(state.pinning, state.load + rise), jnp.where((rise == 0) | jnp.isinf(rise), -1, site)
 
 
 def _check(chain: Chain, state: State) -> None:
@@ -211,8 +210,44 @@ def _or_closest(chain: Chain, stress: Array, trigger: Array) -> Array:
     return jnp.where(trigger == CLOSEST, closest, trigger)
 
 
-def _invalid(before: Equilibrium, after: Equilibrium) -> Array:
-    return (before.status == Outcome.INVALID) | (after.status == Outcome.INVALID)
+Broken = tuple[dict[Outcome, Array], dict[str, Any]]
+"""How a rupture may end beside what the equilibria show; and the fields of its record that they do not give, perhaps with the
+`stress` on every contact as it was followed."""
+
+
+def _between_equilibria(
+    chain: Chain,
+    state: State,
+    trigger: Array,
+    beyond: Springs | None,
+    breaking: Callable[[Chain, Springs, Array, Array, Array], Broken],
+) -> Rupture:
+    """Record of the rupture of one chain between two equilibria.
+
+    ``breaking(chain, beyond, stress, trigger, good)`` breaks contacts, from their stress on; where not `good` its result has no
+    meaning. `beyond` is the elimination from the right end of the chain, where it is known.
+    """
+    valid = all_numbers(chain, state)
+    chain, state, beyond = or_harmless(valid, (chain, state, beyond))
+    beyond = eliminate(chain, chain.contact) if beyond is None else beyond
+    before = in_balance(valid, chain, state, beyond)
+    trigger = _or_closest(chain, before.stress, trigger)
+    meant = _can_break(chain, before.stress, trigger)
+    endings, found = breaking(chain, beyond, before.stress, trigger, (before.status == Outcome.SOLVED) & meant)
+    end, finite = State(state.pinning + found["slip"], state.load), jnp.isfinite(found["slip"]).all()
+    after = in_balance(finite, chain, or_harmless(finite, end), beyond)
+    usual = {
+        Outcome.INVALID: (before.status == Outcome.INVALID) | (after.status == Outcome.INVALID) | ~meant,
+        Outcome.SINGULAR: before.status == Outcome.SINGULAR,
+        Outcome.NOT_CONVERGED: before.status != Outcome.SOLVED,
+    }
+    status = first_of(usual | endings)
+    found["length"] = length_or_reason(status, found["length"])
+    # all is linear, so each slip acts against the mean of the stress before and after
+    energy = chain.stiffness * (found["slip"] * (before.stress + after.stress)).sum() / 2
+    drift = jnp.abs(found.pop("stress", after.stress) - after.stress).max()
+    drop = before.stress - after.stress
+    return Rupture(end, before, after, stress_drop=drop, energy=energy, drift=drift, status=status, **found)
 
 
 # --- the hard rule ---
@@ -226,56 +261,38 @@ def one_rupture(
     The limits are the largest number of breaks, and the delay.
     """
     max_breaks, delay = limits
-    valid = all_numbers(chain, state)
-    safe, state, beyond = or_harmless(valid, (chain, state, beyond))
-    before = in_balance(valid, safe, state, beyond)
-    trigger = _or_closest(safe, before.stress, trigger)
-    meant = _can_break(safe, before.stress, trigger)
-    good = (before.status == Outcome.SOLVED) & meant
-    # a detached contact cannot break
-    threshold = jnp.where(good & (safe.contact > 0), safe.threshold, jnp.inf)
-    found = event(
-        resp,
-        jnp.where(good, before.stress, 0)[None],
-        threshold,
-        limit=max_breaks,
-        trigger=jnp.where(good, trigger, -1),
-        delay=delay,
-        log=(jnp.full(max_breaks + 1, -1, jnp.int32), jnp.zeros(max_breaks + 1, threshold.dtype), 0),
-    )
-    stress, slip, n = found.stress, found.released * resp.soft, chain.sites
-    after_state = State(state.pinning + slip, state.load)
-    finite = jnp.isfinite(slip).all()
-    after = in_balance(finite, safe, or_harmless(finite, after_state), beyond)
-    status = first_of(
-        {
-            Outcome.INVALID: _invalid(before, after) | ~meant,
-            Outcome.SINGULAR: before.status == Outcome.SINGULAR,
-            Outcome.NOT_CONVERGED: ~good,
+
+    def breaking(chain: Chain, _: Springs, stress: Array, trigger: Array, good: Array) -> Broken:
+        # a detached contact cannot break
+        threshold = jnp.where(good & (chain.contact > 0), chain.threshold, jnp.inf)
+        found = event(
+            resp,
+            jnp.where(good, stress, 0)[None],
+            threshold,
+            limit=max_breaks,
+            trigger=jnp.where(good, trigger, -1),
+            delay=delay,
+            log=(jnp.full(max_breaks + 1, -1, jnp.int32), jnp.zeros(max_breaks + 1, threshold.dtype), 0),
+        )
+        assert found.order is not None
+        assert found.each is not None
+        excess, last = found.stress - threshold, chain.sites - 1
+        return {
             Outcome.NOTHING_BROKE: found.breaks == 0,
-            Outcome.LIMIT: (stress >= threshold).any(),
-            Outcome.RAN_THROUGH: found.rightmost == n - 1,
+            Outcome.LIMIT: (excess >= 0).any(),
+            Outcome.RAN_THROUGH: found.rightmost == last,
+        }, {
+            "order": found.order[:-1],
+            "released": found.each[:-1],
+            "breaks": found.breaks,
+            "broken": found.times.astype(stress.dtype),
+            "slip": found.released * resp.soft,
+            "extent": found.rightmost + 1,
+            "length": found.length(excess, last, alike(chain, state.pinning) & (delay == 0)),
+            "stress": found.stress,
         }
-    )
-    assert found.order is not None
-    assert found.each is not None
-    even = alike(safe, state.pinning) & (delay == 0)
-    return Rupture(
-        state=after_state,
-        before=before,
-        after=after,
-        order=found.order[:-1],
-        released=found.each[:-1],
-        breaks=found.breaks,
-        broken=found.times.astype(stress.dtype),
-        slip=slip,
-        stress_drop=before.stress - after.stress,
-        energy=(found.stretched + found.relaxed) * safe.stiffness / 2,
-        extent=found.rightmost + 1,
-        length=length_or_reason(status, found.length(stress - threshold, n - 1, even)),
-        drift=jnp.abs(stress - after.stress).max(),
-        status=status,
-    )
+
+    return _between_equilibria(chain, state, trigger, beyond, breaking)
 
 
 def _hard_rupture(limits: tuple[int, int], chain: Chain, state: State, trigger: Array) -> Rupture:
@@ -296,7 +313,7 @@ _undifferentiated = without_derivative(
 
 
 @jax.jit
-def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: Array) -> Rupture:
+def smooth_rupture(chain: Chain, state: State, rule: BreakRule, trigger: Array) -> Rupture:
     """Follow one rupture under a smooth rule; differentiable in every field.
 
     The front sweeps from the left edge to the right. It reaches each contact once, loaded by all the stress that the
@@ -308,63 +325,31 @@ def smooth_rupture(chain: Chain, state: State, rule: SmoothBreak, trigger: Array
     contact that broke, and `length` is ℓ_w, from the left edge to where p has faded. `breaks` and `extent` count the contacts
     of which more than half broke; RAN_THROUGH if the last one is among them.
     """
-    valid = all_numbers(chain, state)
-    safe, state = or_harmless(valid, (chain, state))
-    beyond = eliminate(safe, safe.contact)
-    before = in_balance(valid, safe, state, beyond)
-    meant = _can_break(safe, before.stress, trigger)
-    good = (before.status == Outcome.SOLVED) & meant
-    links, n = propagators(safe, beyond), chain.sites
-    attached = safe.contact > 0
 
-    def step(arriving: Array, here: tuple) -> tuple[Array, tuple]:
-        P, source, stress, threshold, contact, site = here
-        t = stress + contact * arriving[1]
-        p = jnp.where(contact > 0, jnp.where(site == trigger, 1, rule.broken(t, threshold)), 0)
-        return (P * (arriving + source * p * t)[None, :]).sum(-1), (p, t)
+    def breaking(chain: Chain, beyond: Springs, stress: Array, trigger: Array, _: Array) -> Broken:
+        links, theta = propagators(chain, beyond), chain.threshold
 
-    sites = jnp.arange(n, dtype=jnp.int32)
-    along = (links.right, links.source, before.stress, safe.threshold, safe.contact, sites)
-    _, (p, t) = lax.scan(step, jnp.zeros(2, safe.contact.dtype), along)
-    given_up = p * t
-    slip = given_up * safe.stiffness / jnp.where(attached, safe.contact, jnp.inf)
-    after_state = State(state.pinning + slip, state.load)
-    finite = jnp.isfinite(slip).all()
-    after = in_balance(finite, safe, or_harmless(finite, after_state), beyond)
+        def step(arriving: Array, here: tuple) -> tuple[Array, tuple]:
+            P, source, stress, threshold, contact, site = here
+            t = stress + contact * arriving[1]
+            p = jnp.where(contact > 0, jnp.where(site == trigger, 1, rule.broken(t, threshold)), 0)
+            return (P * (arriving + source * p * t)[None, :]).sum(-1), (p, t)
 
-    theta = safe.threshold
-    steps = jax.vmap(rule.overloaded_length)(t[:-1], t[1:], theta[:-1], theta[1:])
-    from_trigger = jax.vmap(rule.broken)(
-        t[1:], theta[1:]
-    )  # the step from the trigger, which breaks completely, to its neighbour
-    first = jnp.maximum(trigger, 0)
-    along_steps = jnp.where(sites[:-1] >= first, jnp.where(sites[:-1] == trigger, from_trigger, steps), 0)
-    length = first.astype(steps.dtype) + along_steps.sum()
+        sites = jnp.arange(chain.sites, dtype=jnp.int32)
+        along = (links.right, links.source, stress, theta, chain.contact, sites)
+        _, (p, t) = lax.scan(step, jnp.zeros(2, theta.dtype), along)
+        first, most = jnp.maximum(trigger, 0), p > 0.5
+        steps = jax.vmap(rule.overloaded_length)(t[:-1], t[1:], theta[:-1], theta[1:])
+        # the trigger breaks completely: to its neighbour the step is that neighbour's part
+        steps = jnp.where(sites[:-1] >= first, jnp.where(sites[:-1] == trigger, p[1:], steps), 0)
+        return {Outcome.NOTHING_BROKE: ~most.any(), Outcome.RAN_THROUGH: most[-1]}, {
+            "order": sites,
+            "released": p * t,
+            "breaks": most.sum(),
+            "broken": p,
+            "slip": p * t * chain.stiffness / jnp.where(chain.contact > 0, chain.contact, jnp.inf),
+            "extent": jnp.where(most, sites + 1, 0).max(),
+            "length": first.astype(steps.dtype) + steps.sum(),
+        }
 
-    most = p > 0.5
-    endings = {
-        Outcome.INVALID: _invalid(before, after) | ~meant,
-        Outcome.SINGULAR: before.status == Outcome.SINGULAR,
-        Outcome.NOT_CONVERGED: ~good,
-        Outcome.NOTHING_BROKE: ~most.any(),
-        Outcome.RAN_THROUGH: most[-1],
-    }
-    status = first_of(endings)
-    # fall of the potential energy: all is linear, so each slip acts against the mean of the stress before and after
-    energy = safe.stiffness * (slip * (before.stress + after.stress)).sum() / 2
-    return Rupture(
-        state=after_state,
-        before=before,
-        after=after,
-        order=sites,
-        released=given_up,
-        breaks=most.sum(),
-        broken=p,
-        slip=slip,
-        stress_drop=before.stress - after.stress,
-        energy=energy,
-        extent=jnp.where(most, sites + 1, 0).max(),
-        length=length_or_reason(status, length),
-        drift=jnp.zeros_like(length),
-        status=status,
-    )
+    return _between_equilibria(chain, state, trigger, None, breaking)

@@ -28,7 +28,7 @@ from slippulse_jax.block import Block, checked_sites
 from slippulse_jax.bodies.chain import Chain, State, check_linear, driven, floats, potential_energy
 from slippulse_jax.bodies.equilibrium import equilibrium
 from slippulse_jax.bodies.response import Response, shared_response
-from slippulse_jax.bulk.compiler import in_full, lane_by_lane
+from slippulse_jax.bulk.compiler import lane_by_lane
 from slippulse_jax.bulk.double import in_double
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import Domain, check_kind, check_whole
@@ -218,7 +218,6 @@ def _resolved(shape: Shape, body: Any, interface: Interface | Profile | None, lo
     return of_matrix_body(shape, body.contacts(interface, 1 << (shape[-1] - 1).bit_length()), loading)
 
 
-@in_full
 def of_matrix_body(shape: Shape, body: Relaxed, loading: Loading) -> Catalogue:
     """Series of the first contacts of a body whose response is a matrix; a spring to the driver makes the pusher give way.
 

@@ -17,7 +17,7 @@ from slippulse_jax.domains import check_whole
 from slippulse_jax.front import delayed, front
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, Arrest, Contacts
 from slippulse_jax.interface import Profile
-from slippulse_jax.rules import HARD, BreakRule, SmoothBreak
+from slippulse_jax.rules import HARD, BreakRule, HardBreak
 from slippulse_jax.slider import Slider, of_one_type
 from slippulse_jax.status import NotConverged, Outcome
 
@@ -84,7 +84,7 @@ def quantity(name: str, slider: Slider, interface: Contacts, ends: Ends, max_con
 
 def check_at_once(interface: Contacts, rule: BreakRule) -> None:
     """Refuse a repinning delay under a smooth rule, of which a part of a contact would be detached while the rest holds."""
-    if isinstance(rule, SmoothBreak) and interface is not None and interface.repin_delay:
+    if not isinstance(rule, HardBreak) and interface is not None and interface.repin_delay:
         raise ValueError(
             f"interface.repin_delay = {interface.repin_delay}: a contact that repins after a delay is detached as a whole, but "
             "under a smooth rule only a part of it breaks; use HardBreak()"

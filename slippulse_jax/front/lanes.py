@@ -196,9 +196,21 @@ def _jet_end(state: LaneState, rate: LaneState, bend: LaneState) -> tuple[tuple[
 
 def _jet(f: Callable[[LaneState], Any], state: LaneState, rate: LaneState, bend: LaneState) -> tuple[Any, Any, Any]:
     """``f(state)``, its rate and its bend; of a front, in the fields in which it moves."""
-    values, ways, bends = (*state.front, *state.lane), (*rate.front, *rate.lane), (*bend.front, *bend.lane)
+    of_moving, moved, first, what_moves = _moving(f, state, rate)
+    bends = [x for x, way in zip((*bend.front, *bend.lane), (*rate.front, *rate.lane), strict=True) if way is not None]
+    second = tuple(list(map(jnp.zeros_like, way)) if x is None else x for x, way in zip(bends, first, strict=True))
+
+    def with_rate(moved: tuple, ways: tuple) -> Any:
+        return jax.jvp(of_moving, moved, ways)
+
+    (value, slope), (_, bent) = jax.jvp(with_rate, (moved, first), (first, second))
+    return value, what_moves(slope), what_moves(bent)
+
+
+def _moving(f: Callable[[LaneState], Any], state: LaneState, rate: LaneState) -> tuple[Any, ...]:
+    """`f` of the fields that move; these; their rates; and a function that keeps of a front what moves."""
+    values, ways = (*state.front, *state.lane), (*rate.front, *rate.lane)
     moving = [i for i, way in enumerate(ways) if way is not None]
-    still = [list(map(jnp.zeros_like, ways[i])) for i in moving]
 
     def of_moving(*moved: Any) -> Any:
         everything = list(values)
@@ -206,18 +218,12 @@ def _jet(f: Callable[[LaneState], Any], state: LaneState, rate: LaneState, bend:
             everything[i] = x
         return f(LaneState(Front(*everything[: len(state.front)]), Lane(*everything[len(state.front) :])))
 
-    def with_rate(moved: tuple, ways: tuple) -> Any:
-        return jax.jvp(of_moving, moved, ways)
-
     def what_moves(found: Any) -> Any:
         if not isinstance(found, Front):
             return found
         return Front(*(None if way is None else x for x, way in zip(found, rate.front, strict=True)))
 
-    moved, first = tuple(values[i] for i in moving), tuple(ways[i] for i in moving)
-    second = tuple(zero if bends[i] is None else bends[i] for i, zero in zip(moving, still, strict=True))
-    (value, slope), (_, bent) = jax.jvp(with_rate, (moved, first), (first, second))
-    return value, what_moves(slope), what_moves(bent)
+    return of_moving, tuple(values[i] for i in moving), tuple(ways[i] for i in moving), what_moves
 
 
 def _until_all_arrest(
@@ -369,19 +375,8 @@ def _break(state: LaneState) -> Front:
 
 def _tangent(f: Callable[[LaneState], Any], state: LaneState, rate: LaneState) -> Any:
     """Tangent of ``f(state)`` along what moves; of a front, in the fields in which it moves."""
-    values, ways = (*state.front, *state.lane), (*rate.front, *rate.lane)
-    moving = [i for i, way in enumerate(ways) if way is not None]
-
-    def of_moving(*moved: Any) -> Any:
-        everything = list(values)
-        for i, x in zip(moving, moved, strict=True):
-            everything[i] = x
-        return f(LaneState(Front(*everything[: len(state.front)]), Lane(*everything[len(state.front) :])))
-
-    found = jax.jvp(of_moving, tuple(values[i] for i in moving), tuple(ways[i] for i in moving))[1]
-    if isinstance(found, Front):
-        found = Front(*(None if way is None else x for x, way in zip(found, rate.front, strict=True)))
-    return found
+    of_moving, moved, first, what_moves = _moving(f, state, rate)
+    return what_moves(jax.jvp(of_moving, moved, first)[1])
 
 
 def _crossing(state: LaneState) -> Float[Array, " lanes"]:

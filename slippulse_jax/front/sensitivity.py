@@ -45,7 +45,7 @@ def sensitivity(
         Thresholds and prestress; relaxed and uniform by default. Contacts repin at once. The first is loaded to θ_0.
     sites : int
         Number of contacts; more than the length, and for a smooth rule as many as the front takes to fade.
-    rule : HardBreak or SmoothBreak, or one derived from it
+    rule : BreakRule
 
     Notes
     -----

@@ -14,7 +14,6 @@ import numpy as np
 from slippulse_jax import theory
 from slippulse_jax.block import Block
 from slippulse_jax.bodies.chain import Chain, chain
-from slippulse_jax.bodies.distribution import Kind, ThresholdDistribution, edge_loads, force_law, smooth_width, stability
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.events.ageing import Ageing
 from slippulse_jax.events.catalogue import Catalogue, EventClass
@@ -25,6 +24,7 @@ from slippulse_jax.front.front import runaway_prestress
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lengths import arrests, precursor_lengths
 from slippulse_jax.paper import FIG2
+from slippulse_jax.paper.distribution import Kind, ThresholdDistribution, edge_loads, force_law, smooth_width, stability
 from slippulse_jax.precursor import first_precursor, precursor_length
 from slippulse_jax.rules import CrackLike, SelfHealing
 from slippulse_jax.slider import Slider

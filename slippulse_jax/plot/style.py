@@ -211,22 +211,3 @@ def label_decades(axis: "Axis") -> None:
     if few:
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
-
-
-def contrast(one: str, other: str) -> float:
-    """Compute the contrast of two colours by WCAG 2, between 1 and 21.
-
-    Examples
-    --------
-    >>> round(contrast("black", "white"))
-    21
-    """
-    from matplotlib.colors import to_rgb
-
-    def luminance(colour: str) -> float:
-        channel = np.asarray(to_rgb(colour))
-        linear = np.where(channel <= 0.04045, channel / 12.92, ((channel + 0.055) / 1.055) ** 2.4)
-        return float(linear @ (0.2126, 0.7152, 0.0722))
-
-    low, high = sorted((luminance(one), luminance(other)))
-    return (high + 0.05) / (low + 0.05)

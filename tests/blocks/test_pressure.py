@@ -224,8 +224,6 @@ def test_a_batch_over_friction_is_its_blocks():
         found = jax.vmap(lambda mu: sp.precursor_length(pressed(12, 0.5, sp.Push(0.25), mu), sites=64))(jnp.asarray(friction))
     each = [float(sp.precursor_length(pressed(12, 0.5, sp.Push(0.25), mu))) for mu in friction]
     np.testing.assert_allclose(found, each, rtol=1e-12)
-    axes = sp.Block(None, None, None, None, friction=0, contact_law="multicontact")
-    assert (axes.friction, axes.normal_stiffness) == (0, None)
 
 
 @pytest.mark.ci

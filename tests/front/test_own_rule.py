@@ -9,15 +9,16 @@ from oracles.dense_chain import responses
 from scipy.integrate import quad
 
 import slippulse_jax as sp
-from slippulse_jax.rules import HardBreak
+from slippulse_jax.rules import BreakRule, HardBreak
 
 FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
 SITES = 120
 
 
-class EvenBreak(sp.SmoothBreak):
-    """Thresholds spread evenly from θ − w to θ + lean w: a law with a second number."""
+class EvenBreak(BreakRule):
+    """Thresholds spread evenly from θ − w to θ + lean w: a law with two numbers."""
 
+    width: float = 0.01
     lean: float = 1.0
 
     def broken(self, stress, threshold):
@@ -103,15 +104,21 @@ def test_batches_and_bulk():
     found = sp.precursor_lengths(FIG2, rule=rule)
     assert found.shape == (2, 3)
     assert found[1, 1] == pytest.approx(Plain(0.03, 0.5).length, abs=1e-9)
-    sp.precursor_lengths(FIG2, rule=sp.SmoothBreak(width=0.03))
-    assert sp.precursor_lengths(FIG2, rule=EvenBreak(width=0.03)) == found[1, 0]
+    default = sp.precursor_lengths(FIG2, rule=sp.SmoothBreak(width=0.03))
+    assert sp.precursor_lengths(FIG2, rule=NarrowBreak(width=0.06)) == pytest.approx(default, abs=1e-12)
+    assert sp.precursor_lengths(FIG2, rule=NarrowBreak(width=0.03)) != pytest.approx(default, abs=1e-3)
 
 
-class NoMean(sp.SmoothBreak):
-    """Says what breaks, and not what that means between two contacts."""
+class NarrowBreak(BreakRule):
+    """The law of the package, of half the width."""
+
+    width: float
 
     def broken(self, stress, threshold):
-        return jnp.where(stress > threshold, 1.0, 0.0)
+        return sp.SmoothBreak(self.width / 2).broken(stress, threshold)
+
+    def overloaded_length(self, before, after, threshold_before, threshold_after):
+        return sp.SmoothBreak(self.width / 2).overloaded_length(before, after, threshold_before, threshold_after)
 
 
 class WithLaw(EvenBreak):
@@ -142,8 +149,6 @@ TAKERS = [
 
 @pytest.mark.parametrize("taker", TAKERS)
 def test_what_would_not_be_used_is_refused(taker):
-    with pytest.raises(TypeError, match="NoMean overrides `broken` but not `overloaded_length`"):
-        taker(NoMean(width=0.1))
     with pytest.raises(TypeError, match=r"WithLaw\.law = 'even': must be a number"):
         taker(WithLaw(width=0.1))
     with pytest.raises(TypeError, match="rule = FirmBreak"):
@@ -152,11 +157,40 @@ def test_what_would_not_be_used_is_refused(taker):
         taker(0.1)
 
 
+def test_a_rule_has_both_methods():
+    """Refused before there is a rule: with one method as the class is defined, with none as an object of it is made."""
+
+    class Neither(BreakRule):
+        width: float = 0.1
+
+    with pytest.raises(TypeError, match="Neither .*broken.*overloaded_length"):
+        Neither()
+    for base in (BreakRule, sp.SmoothBreak, EvenBreak):
+        with pytest.raises(TypeError, match="NoMean defines `broken` alone: a break rule defines `broken` and `over"):
+            type("NoMean", (base,), {"broken": lambda self, stress, threshold: 1.0})
+        with pytest.raises(TypeError, match="NoPart defines `overloaded_length` alone"):
+            type("NoPart", (base,), {"overloaded_length": lambda self, a, b, c, d: 1.0})
+
+
 def test_one_rule_where_one_is_taken():
     batch = EvenBreak(width=np.array([0.01, 0.03]))
     for taker in TAKERS[3:]:
         with pytest.raises(ValueError, match=r"EvenBreak\.width has shape \(2,\)"):
             taker(batch)
+
+
+@pytest.mark.ci
+def test_on_a_block():
+    """A law of its own, against the rule of the package that it halves the width of; no whole event."""
+    block = sp.Block(10.0, 0.03, 0.3)
+    own, half, as_wide = (
+        float(sp.precursor_length(block, rule=rule, sites=48))
+        for rule in (NarrowBreak(0.04), sp.SmoothBreak(0.02), sp.SmoothBreak(0.04))
+    )
+    assert own == pytest.approx(half, abs=1e-12)
+    assert abs(own - as_wide) > 0.1
+    with pytest.raises(ValueError, match="event = 'full': under a smooth rule"):
+        sp.precursor_length(block, rule=RULE, event="full")
 
 
 @pytest.mark.ci

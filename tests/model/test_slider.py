@@ -178,43 +178,70 @@ def test_wrong_objects_are_named(bad):
 # --- as JAX takes trees -------------------------------------------------------------------------------------------------
 
 
+def axes(tree, *mapped):
+    """The tree of axes of `jax.vmap` where only the `mapped` fields have one."""
+    nothing = jax.tree.map(lambda _: None, tree)
+    return eqx.tree_at(lambda x: [field(x) for field in mapped], nothing, [0] * len(mapped), is_leaf=lambda x: x is None)
+
+
 @pytest.mark.slow
 def test_trees_of_axes():
     """What `jax.vmap` needs where not every field has an axis; and any other leaves."""
     heights = jnp.array([10.0, 25.0, 50.0])
-    sliders, one = Slider(heights, 0.03, 0.3), jax.vmap(precursor_length, in_axes=(Slider(0, None, None),))
+    sliders = Slider(heights, 0.03, 0.3)
+    some = axes(sliders, lambda s: s.height)
+    one = jax.vmap(precursor_length, in_axes=(some,))
     np.testing.assert_allclose(one(sliders), precursor_length(sliders), rtol=1e-14)
-    slopes = jax.vmap(jax.grad(precursor_length), in_axes=(Slider(0, None, None),))(sliders)
+    slopes = jax.vmap(jax.grad(precursor_length), in_axes=(some,))(sliders)
     assert slopes.stiffness.shape == (3,)
-    back = jax.vmap(lambda s: s, in_axes=(Slider(0, None, None),), out_axes=Slider(0, None, None))(sliders)
+    back = jax.vmap(lambda s: s, in_axes=(some,), out_axes=some)(sliders)
     assert (back.height.shape, back.stiffness.shape) == ((3,), ())
-    records = jax.vmap(lambda s: sp.first_precursor(s, recorded_sites=64), in_axes=(Slider(0, None, None),))(sliders)
+    records = jax.vmap(lambda s: sp.first_precursor(s, recorded_sites=64), in_axes=(some,))(sliders)
     np.testing.assert_allclose(records.length, precursor_length(sliders), rtol=1e-14)
 
     stressed = sp.Interface(jnp.array([0.0, 0.1]), 0.01)
-    found = jax.vmap(precursor_length, in_axes=(None, sp.Interface(0, None)))(Slider(25.0, 0.03, 0.3), stressed)
+    found = jax.vmap(precursor_length, in_axes=(None, axes(stressed, lambda x: x.prestress)))(Slider(25.0, 0.03, 0.3), stressed)
     np.testing.assert_allclose(found, precursor_length(Slider(25.0, 0.03, 0.3), stressed), rtol=1e-14)
     profiles = eqx.tree_at(
         lambda p: p.threshold, sp.Profile(np.ones(60)), jnp.array([1.0, 1.01])[:, None] ** jnp.arange(60)[None]
     )
-    found = jax.vmap(precursor_length, in_axes=(None, sp.Profile(0, None)))(Slider(25.0, 0.03, 0.3), profiles)
+    found = jax.vmap(precursor_length, in_axes=(None, axes(profiles, lambda x: x.threshold)))(Slider(25.0, 0.03, 0.3), profiles)
     each = [float(precursor_length(Slider(25.0, 0.03, 0.3), sp.Profile(one))) for one in profiles.threshold]
     np.testing.assert_allclose(found, each, rtol=1e-12)
 
     pushed = jax.vmap(lambda h: sp.Block(12.0 * h, 0.05, 0.3, sp.Push(0.4 * h)))(jnp.array([1.0, 1.1]))
     mixed = sp.Block(jnp.array(12.0), 0.05, 0.3)
     mixed = eqx.tree_at(lambda b: (b.height, b.push.height), mixed, (pushed.height, pushed.push.height))
-    axes = sp.Block(0, None, None, sp.Push(0))
-    lengths = jax.vmap(lambda b: precursor_length(b, sites=64), in_axes=(axes,))(mixed)
+    pushes = axes(mixed, lambda b: b.height, lambda b: b.push.height)
+    lengths = jax.vmap(lambda b: precursor_length(b, sites=64), in_axes=(pushes,))(mixed)
     each = [float(precursor_length(sp.Block(float(h), 0.05, 0.3, sp.Push(float(p))), sites=64))
             for h, p in zip(pushed.height, pushed.push.height, strict=True)]  # fmt: skip
     np.testing.assert_allclose(lengths, each, rtol=1e-12)
 
-    leaf = object()
-    for made in (Slider(leaf, leaf, leaf), sp.Interface(leaf, leaf), sp.Profile(leaf, leaf), sp.Block(leaf, leaf, leaf, leaf)):
-        assert jax.tree.leaves(made)[0] is leaf
-    assert jax.tree.leaves(jax.tree.map(lambda _: None, sliders)) == []
-    assert jax.tree.leaves(jax.tree.map(lambda _: 0, sliders)) == [0, 0, 0]
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        Slider([10.0, 25.0], 0.03, 0.3),
+        sp.Interface([0.0, 0.1], 0.01, 2),
+        sp.Profile([1.0, 1.1], 0.1),
+        sp.Block(10.0, 0.03, 0.3, sp.Push(0.4, 0.1), length=20, friction=0.3),
+        sp.SmoothBreak(0.02),
+    ],
+    ids=lambda made: type(made).__name__,
+)
+def test_trees_of_other_leaves(made):
+    """JAX and Equinox put any leaves into a tree, and take trees apart again; abstract values too."""
+    leaf, leaves = object(), jax.tree.leaves(made)
+    for put in (leaf, True, None, 0):
+        other = jax.tree.map(lambda _, put=put: put, made)
+        assert type(other) is type(made)
+        assert jax.tree.leaves(other, is_leaf=lambda x: x is None)[: len(leaves)].count(put) == len(leaves)
+    abstract = jax.eval_shape(lambda x: x, made)
+    assert [x.shape for x in jax.tree.leaves(abstract)] == [np.shape(x) for x in leaves]
+    assert jax.tree.structure(jax.jit(lambda x: x)(made)) == jax.tree.structure(made)
+    dynamic, static = eqx.partition(made, eqx.is_array)
+    assert jax.tree.leaves(eqx.combine(dynamic, static)) == leaves
 
 
 @pytest.mark.parametrize(
@@ -222,13 +249,16 @@ def test_trees_of_axes():
     [
         lambda: Slider(None, 0.03, 0.3),
         lambda: Slider(25.0, None, None),
+        lambda: Slider(0, None, None),
+        lambda: Slider(object(), object(), object()),
+        lambda: sp.Block(10.0, 0.03, 0.3, 0),
         lambda: sp.Interface(None, 0.1),
         lambda: sp.Block(10.0, None, 0.3),
         lambda: Slider(25.0, object(), 0.3),
         lambda: Slider("25", None, None),
     ],
 )
-def test_a_missing_number_is_no_axis(make):
+def test_a_number_may_not_be_missing(make):
     with pytest.raises(TypeError):
         make()
 

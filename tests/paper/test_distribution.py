@@ -7,7 +7,7 @@ from oracles.dense_chain import chain_matrix, responses
 from scipy import stats
 
 import slippulse_jax as sp
-from slippulse_jax.bodies.distribution import (
+from slippulse_jax.paper.distribution import (
     ThresholdDistribution,
     edge_loads,
     ensemble_force,
