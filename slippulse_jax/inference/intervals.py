@@ -26,8 +26,10 @@ from scipy.special import chdtri, fdtri
 
 from slippulse_jax.inference.likelihood import Problem
 from slippulse_jax.inference.minimise import minimise
-from slippulse_jax.inference.search import SLACK, Grid, Root, first_edges
+from slippulse_jax.inference.search import SLACK, Curve, Found, Grid, Root, first_edges
 
+LEVELS = (0.6827, 0.95)
+"""Confidence levels of intervals."""
 NODES = 61  # of a profile of one of several parameters, over its whole range
 STEPS_AROUND = np.array([0.1, 0.25, 0.5, 0.75, 1, 1.25, 1.6, 2, 2.5, 3, 4, 6])  # in standard errors of a root
 STARTS_KEPT = 2  # per node, and of the low points of a grid
@@ -72,10 +74,20 @@ Intervals = dict[float, list[Interval]]
 """The pieces of an interval, in increasing order, by confidence level."""
 
 
-def pieces_of(ends: list[float], open_low: bool, open_high: bool) -> list[Interval]:
-    """Pair ends in increasing order to intervals; the first and last end may be those of the range searched."""
-    pairs = list(zip(ends[::2], ends[1::2], strict=True))
+def pieces_of(node: np.ndarray, inside: np.ndarray, crossings: list[float]) -> list[Interval]:
+    """Pair crossings in increasing order to intervals.
+
+    With the ends of the range searched, the first and last of `node`, where these lie inside.
+    """
+    open_low, open_high = bool(inside[0]), bool(inside[-1])
+    every = [float(node[0])] * open_low + crossings + [float(node[-1])] * open_high
+    pairs = list(zip(every[::2], every[1::2], strict=True))
     return [Interval(a, b, open_low and i == 0, open_high and i == len(pairs) - 1) for i, (a, b) in enumerate(pairs)]
+
+
+def _changes(inside: np.ndarray) -> list[int]:
+    """Nodes after which a curve goes in or out."""
+    return np.nonzero(inside[1:] != inside[:-1])[0].tolist()
 
 
 def rise_of(level: float, parameters: int = 1, dof: float | None = None) -> float:
@@ -88,14 +100,6 @@ def rise_of(level: float, parameters: int = 1, dof: float | None = None) -> floa
     if dof is None:
         return float(chdtri(parameters, 1 - level))
     return parameters * float(fdtri(parameters, dof, level))
-
-
-class Curve(NamedTuple):
-    """A profile: nodes in increasing order, the deviance at each, and the best θ there."""
-
-    node: np.ndarray  # (g,), θ of the parameter followed
-    deviance: np.ndarray  # (g,)
-    theta: np.ndarray  # (g, p)
 
 
 def constrained(problem: Problem, held: np.ndarray, nodes: np.ndarray, starts: np.ndarray, *, enough: float = np.inf) -> Curve:
@@ -189,22 +193,9 @@ def allowed(problem: Problem, j: int, curve: Curve, limits: dict[float, float]) 
     limits : dict
         Deviance allowed, by confidence level.
     """
-    found = {}
-    brackets = []
-    for level, limit in limits.items():
-        inside = curve.deviance <= limit
-        changes = np.nonzero(inside[1:] != inside[:-1])[0]
-        found[level] = inside, len(changes)
-        brackets += [(i, limit) for i in changes]
-    ends = _crossings(problem, j, curve, brackets)
-    result, used = {}, 0
-    for level, (inside, count) in found.items():
-        own = list(ends[used : used + count])
-        used += count
-        open_low, open_high = bool(inside[0]), bool(inside[-1])
-        own = [float(curve.node[0])] * open_low + own + [float(curve.node[-1])] * open_high
-        result[level] = pieces_of(own, open_low, open_high)
-    return result
+    inside = {level: curve.deviance <= limit for level, limit in limits.items()}
+    ends = iter(_crossings(problem, j, curve, [(i, limits[level]) for level, own in inside.items() for i in _changes(own)]))
+    return {level: pieces_of(curve.node, own, [next(ends) for _ in _changes(own)]) for level, own in inside.items()}
 
 
 def _crossings(problem: Problem, j: int, curve: Curve, brackets: list[tuple[int, float]]) -> list[float]:
@@ -267,23 +258,20 @@ def can_be_calibrated(problem: Problem) -> bool:
     return problem.p <= 2 and problem.plain
 
 
-def to_be_simulated(
-    problem: Problem, wanted: str, minima: list[Root], deviance: float, pieces: dict[int, Intervals], best: np.ndarray
-) -> bool:
-    """Whether to simulate intervals: as requested, or where valleys compete or one is not parabolic.
+def to_be_simulated(problem: Problem, wanted: str, found: Found, pieces: dict[int, Intervals]) -> bool:
+    """Whether to simulate intervals: if requested, or where χ² would mislead.
+
+    By default it would where valleys compete, or one is not parabolic.
 
     Parameters
     ----------
     problem : Problem
     wanted : {"auto", "profile", "calibrated"}
-    minima : list of Root
-        Best first.
-    deviance : float
-        The least.
+    found : Found
     pieces : dict
         Profile-likelihood intervals of each θ_j.
-    best : array, shape (p,)
     """
+    minima, deviance = found.minima, found.deviance
     if wanted == "calibrated":
         return True
     if wanted == "profile" or not can_be_calibrated(problem) or not minima:
@@ -292,12 +280,12 @@ def to_be_simulated(
         return False
     if sum(one.deviance <= deviance + SLACK for one in minima) > 1:
         return True
-    for j, found in pieces.items():
-        level, last = max(found.items())
+    for j, own in pieces.items():
+        level, last = max(own.items())
         if not last or minima[0].singular[j]:
             return False
         reach = np.sqrt(chdtri(1, 1 - level) * minima[0].covariance[j, j])
-        off = (best[j] - last[0].low) / reach, (last[-1].high - best[j]) / reach
+        off = (found.theta[j] - last[0].low) / reach, (last[-1].high - found.theta[j]) / reach
         if max(off) > STRAIGHT or min(off) < 1 / STRAIGHT:
             return True
     return False
@@ -354,7 +342,7 @@ def _simulated(
 
 def _residuals(problem: Problem, theta: np.ndarray) -> np.ndarray:
     """Residuals at points (B, p); very large instead of infinite where the front never stops."""
-    found, _ = problem.residuals(problem.predictions(theta), theta)
+    found = problem.residuals(theta)
     return np.where(np.isfinite(found), found, 1e9)
 
 
@@ -472,14 +460,10 @@ def _standard_errors(problem: Problem, j: int, theta: np.ndarray) -> np.ndarray:
 def _below(node: np.ndarray, excess: np.ndarray) -> list[Interval]:
     """Where `excess` is not positive, its ends by straight lines."""
     inside = excess <= 0
-    change = np.nonzero(inside[1:] != inside[:-1])[0]
-    ends = [
-        float(node[i] + (node[i + 1] - node[i]) * excess[i] / (excess[i] - excess[i + 1]))
-        for i in change
-    ]  # fmt: skip
-    open_low, open_high = bool(inside[0]), bool(inside[-1])
-    ends = [float(node[0])] * open_low + ends + [float(node[-1])] * open_high
-    return pieces_of(ends, open_low, open_high)
+    step = np.diff(node)
+    return pieces_of(
+        node, inside, [float(node[i] + step[i] * excess[i] / (excess[i] - excess[i + 1])) for i in _changes(inside)]
+    )
 
 
 # --- by counts --------------------------------------------------------------------------------------------------------
@@ -518,7 +502,4 @@ def allowed_by_counts(problem: Problem) -> tuple[list[Interval], list[int]]:
     if not inside.any():
         best = int(np.argmax(holds.sum(axis=1)))
         return [], data.measurement[~holds[best]].tolist()
-    starts = np.nonzero(inside & ~np.concatenate([[False], inside[:-1]]))[0]
-    stops = np.nonzero(inside & ~np.concatenate([inside[1:], [False]]))[0]
-    own = [end for start, stop in zip(starts, stops, strict=True) for end in (float(ends[start]), float(ends[stop + 1]))]
-    return pieces_of(own, bool(inside[0]), bool(inside[-1])), []
+    return pieces_of(ends, inside, ends[1:-1][_changes(inside)].tolist()), []

@@ -30,6 +30,7 @@ from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.measurements import Gauges, Measurements
 from slippulse_jax.inference.observables import OBSERVED, predicted
 from slippulse_jax.inference.parameters import Linear, ParameterSet
+from slippulse_jax.shown import TIED, listed, plural
 
 STUDENT_DOF = 4.0
 SHARPEST = 1e-3
@@ -221,14 +222,6 @@ def _costs(mu: np.ndarray, value: np.ndarray, data: Observations, loss: Loss) ->
     return columns
 
 
-class Predicted(NamedTuple):
-    """Predictions of n data at B points, and their derivatives in θ."""
-
-    value: np.ndarray  # (B, n)
-    first: np.ndarray | None = None  # (B, n, p)
-    second: np.ndarray | None = None  # (B, n, p, p)
-
-
 class Evaluation(NamedTuple):
     """Values at B points; derivatives that were not requested are empty."""
 
@@ -240,8 +233,12 @@ class Evaluation(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Problem:
-    """Measurements and parameters: everything the log density depends on apart from θ."""
+    """Measurements and parameters: everything the log density depends on apart from θ.
 
+    The standard errors that a fit uses are those of `observed`: as stated, enlarged by `widened`, or scaled by `with_sigma`.
+    """
+
+    measurements: Measurements
     parameters: ParameterSet
     observed: tuple[Observations, ...]  # of the lengths first
     loss: Loss
@@ -286,14 +283,16 @@ class Problem:
         dof = self.known + 2 * int((binding & (data.sigma > 0)).sum()) if binding.any() else self.known - self.p
         return dof if dof > 0 else None
 
-    def p_value(self, theta: np.ndarray, deviance: float) -> float | None:
-        """Probability of so large a deviance at its minimum θ, or its upper bound; None where `testable` has none."""
-        dof = self.testable(theta)
+    def p_value(self, deviance: float, dof: int | None) -> float | None:
+        """Probability of so large a deviance at its minimum, or its upper bound.
+
+        With the degrees of freedom of `testable`; None where it has none.
+        """
         return None if dof is None else float(chdtrc(dof, deviance - self.perfect))
 
     def accepts(self, theta: np.ndarray, deviance: float, most: float = np.inf) -> bool:
-        """Whether the data fit at a minimum: by p, or where none is known by a deviance of `most` at the most."""
-        p = self.p_value(theta, deviance) if np.isfinite(deviance) else 0.0
+        """Whether the data fit at a minimum: by p, or by a deviance of `most`."""
+        p = self.p_value(deviance, self.testable(theta)) if np.isfinite(deviance) else 0.0
         return deviance <= most if p is None else p >= IMPROBABLE
 
     @property
@@ -333,16 +332,14 @@ class Problem:
         return -log_density(theta, self)
 
     def _evaluate(self, theta: np.ndarray, lane: np.ndarray, order: int) -> Evaluation:
-        return self._of([self._predictions(data, theta, order) for data in self.observed], theta, lane)
-
-    def _of(self, predictions: list[Predicted], theta: np.ndarray, lane: np.ndarray) -> Evaluation:
-        """Sum the cost of predictions (B, n, …) over the observables; with derivatives gradient, metric and curvature too."""
+        """Sum the cost over priors and observables, with its derivatives."""
         off = theta - self.prior_mean[lane]
         value = (self.prior_weight * off**2).sum(axis=1) / 2
         gradient = self.prior_weight * off
         metric = np.broadcast_to(np.diag(self.prior_weight), (len(theta), self.p, self.p)).copy()
         curvature = metric.copy()
-        for data, (mu, first, second) in zip(self.observed, predictions, strict=True):
+        for data in self.observed:
+            mu, first, second = self._predictions(data, theta, order)
             cost = terms(mu, data, lane, self.loss)
             value = value + cost.value.sum(axis=1)
             if first is None:
@@ -352,27 +349,32 @@ class Problem:
             metric = metric + np.matmul(across * cost.curvature[:, None, :], first)
             if second is not None:
                 curvature += np.matmul(across * cost.second[:, None, :], first) + np.einsum("bn,bnpq->bpq", cost.slope, second)
-        order = sum(x is not None for x in predictions[0][1:])
         return Evaluation(*(value, gradient, metric, curvature)[: (1, 3, 4)[order]])
 
-    def _predictions(self, data: Observations, theta: np.ndarray, order: int) -> Predicted:
-        """μ of every datum, (B, n), and its derivatives in θ except those held, (B, n, p) and (B, n, p, p)."""
+    def _predictions(
+        self, data: Observations, theta: np.ndarray, order: int
+    ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+        """Predict every datum, (B, n), with derivatives in θ, (B, n, p) and (B, n, p, p).
+
+        Those in θ that are held are 0; those above `order` None.
+        """
         p, free = self.p, np.arange(self.p) if self.held is None else np.flatnonzero(~self.held)
         if not order or not len(free):
             (mu,) = self._along(data, theta, None)
-            return Predicted(mu, *(np.zeros((*mu.shape, *[p] * k)) for k in range(1, order + 1)))
+            first, second = (np.zeros((*mu.shape, *[p] * k)) if k <= order else None for k in (1, 2))
+            return mu, first, second
         pairs = list(itertools.combinations(range(len(free)), 2)) if order == 2 else []
         axes = np.eye(p)[free]
         mu, slope, bend = self._along(data, theta, np.array([*axes, *(axes[i] + axes[j] for i, j in pairs)]))
         first = np.zeros((*mu.shape, p))
         first[..., free] = np.moveaxis(slope[: len(free)], 0, -1)
         if order == 1:
-            return Predicted(mu, first)
+            return mu, first, None
         second = np.zeros((*mu.shape, p, p))
         second[..., free, free] = np.moveaxis(bend[: len(free)], 0, -1)
         for (i, j), both in zip(pairs, bend[len(free) :], strict=True):  # d²/dθ_i dθ_j from the bend along both
             second[..., free[i], free[j]] = second[..., free[j], free[i]] = (both - bend[i] - bend[j]) / 2
-        return Predicted(mu, first, second)
+        return mu, first, second
 
     def _along(self, data: Observations, theta: np.ndarray, directions: np.ndarray | None) -> tuple[np.ndarray, ...]:
         """μ of every datum, (B, n); and its first and second derivative along D directions in θ, (D, B, n)."""
@@ -405,6 +407,26 @@ class Problem:
         """``chi-squared``, where it is one."""
         return "chi-squared" if self.plain else "deviance"
 
+    def of_inputs(self, theta: np.ndarray) -> str:
+        """State the part of the deviance from fitted inputs and priors.
+
+        It is that of values off their means, and no residual; empty where there is none.
+        """
+        parts = self.prior_weight * (theta - self.prior_mean[0]) ** 2
+        pulled = dict.fromkeys(one.symbol for one, x in zip(self.parameters.free, parts, strict=True) if x > 0.1 * parts.sum())
+        return f" ({parts.sum():.3g} of it from the fitted {listed([*pulled])})" if f"{parts.sum():.2f}" != "0.00" else ""
+
+    def tested(self, p_value: float | None, dof: int | None) -> str:
+        """State degrees of freedom and probability: `` for 5 degrees of freedom (p = 0.82)``.
+
+        The probability alone where `testable` gives a bound on it.
+        """
+        p = "p < 1e-300" if not p_value or p_value < 1e-300 else f"p = {p_value:.2g}".replace("e-0", "e-")
+        p = p.replace(" ", TIED)
+        if (dof or 0) > self.known - self.p:
+            return f" ({p.replace('=', 'at most')})"
+        return f" for {plural(dof or 0, 'degree')} of freedom ({p})"
+
     @property
     def only_counts(self) -> bool:
         """Whether all data are counts or fronts without arrest, without errors, and one parameter without a prior is fitted."""
@@ -418,24 +440,24 @@ class Problem:
         return any(data.observable in READINGS for data in self.observed)
 
     def predictions(self, theta: np.ndarray) -> np.ndarray:
-        """Predictions for the data of all observables, one after another, shape (B, N)."""
+        """Predictions for the data of all observables, one after another; shape (B, N)."""
         at_once = max(1, ELEMENTS // max(len(data.rows) for data in self.observed))
         parts = [theta[start : start + at_once] for start in range(0, max(len(theta), 1), at_once)]
         return np.concatenate(
-            [np.concatenate([self._predictions(data, part, 0).value for data in self.observed], axis=1) for part in parts]
+            [np.concatenate([self._predictions(data, part, 0)[0] for data in self.observed], 1) for part in parts]
         )
 
-    def residuals(self, mu: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals in σ, priors last, (B, N + p), and 1/σ of the data, (B, N), of a `plain` problem."""
+    def residuals(self, theta: np.ndarray) -> np.ndarray:
+        """Residuals in σ, priors last, of a `plain` problem; shape (B, N + p)."""
         value = np.concatenate([data.value[0] for data in self.observed])
         sigma = np.concatenate([data.sigma for data in self.observed])
         known = np.sqrt(self.prior_weight) * (theta - self.prior_mean[0])
-        return np.concatenate([(mu - value) / sigma, known], axis=1), np.broadcast_to(1 / sigma, mu.shape)
+        return np.concatenate([(self.predictions(theta) - value) / sigma, known], axis=1)
 
     def predict(self, theta: np.ndarray, observable: str = "length") -> np.ndarray:
         """Predictions for the data of one observable, shape (B, n), in λc, m or N/m."""
         (data,) = (one for one in self.observed if one.observable == observable)
-        return self._predictions(data, np.atleast_2d(theta), 0).value
+        return self._predictions(data, np.atleast_2d(theta), 0)[0]
 
     def information(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Fisher information at one θ, shape (p, p), and the scaled Jacobian that makes it up, (n + priors, p)."""
@@ -450,8 +472,13 @@ class Problem:
         jacobian = np.concatenate(rows)
         return jacobian.T @ jacobian, jacobian
 
+    def widened(self, off: np.ndarray) -> "Problem":
+        """Add an error of every length, (n,) in λc, to its σ in quadrature."""
+        lengths = self.lengths._replace(sigma=np.hypot(self.lengths.sigma, off))
+        return dataclasses.replace(self, observed=(lengths, *self.observed[1:]))
+
     def with_sigma(self, factor: float, *, of_lengths: bool) -> "Problem":
-        """The problem with σ of all data, or of lengths alone, `factor` times as large."""
+        """Scale σ of all data, or of lengths alone, by a factor."""
 
         def scaled(data: Observations) -> Observations:
             return data._replace(sigma=factor * data.sigma)
@@ -530,6 +557,7 @@ def make_problem(m: Measurements, parameters: ParameterSet, loss: Loss, sigma: n
         observed += [_readings(m, m.gauges, parameters, name) for name in READINGS if m.gauges.there(name).any()]
     prior_sigma = np.array([one.prior_sigma for one in parameters.free])
     return Problem(
+        measurements=m,
         parameters=parameters,
         observed=tuple(observed),
         loss=loss,

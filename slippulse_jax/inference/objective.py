@@ -115,19 +115,6 @@ def objective(
     if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
         what = "objective in single precision: flat to rounding near its minimum. Use jax.enable_x64(True)"
         warnings.warn(what, RuntimeWarning, stacklevel=2)
-    return Objective(problem_of(m, wanted_parameters(free, bounds, fixed), loss, event=event, body=body))
-
-
-def problem_of(
-    m: Measurements,
-    wanted: list[Parameter],
-    loss: Loss,
-    *,
-    size_known: bool = True,
-    event: MeasuredEvent | None = None,
-    body: Body | None = None,
-) -> Problem:
-    """Set up the density of measurements; `size_known` says whether their σ are standard errors, or only their ratios."""
     check_choice("loss", loss, Loss)
-    parameters = parameter_set(m, with_errors_of_measuring(m, wanted, size_known=size_known), event, body)
-    return make_problem(m, parameters, loss, m.stated_sigma)
+    wanted = with_errors_of_measuring(m, wanted_parameters(free, bounds, fixed), size_known=True)
+    return Objective(make_problem(m, parameter_set(m, wanted, event, body), loss, m.stated_sigma))

@@ -19,13 +19,15 @@ from scipy.special import expit, logit
 
 from slippulse_jax.domains import check_choice
 from slippulse_jax.files import plain
-from slippulse_jax.inference.fitted import LEVELS, Fitted
+from slippulse_jax.inference.intervals import LEVELS
 from slippulse_jax.inference.likelihood import STUDENT_DOF, Problem
 from slippulse_jax.inference.minimise import Convergence, minimise
 from slippulse_jax.inference.parameters import Free
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from slippulse_jax.inference.result import FitResult
 
 Bootstrap = Literal["parametric", "case"]
 """Kinds of a bootstrap."""
@@ -167,7 +169,7 @@ class Samples:
         return "\n".join(rows)
 
 
-def bootstrap(result: Fitted, count: int = 1000, *, kind: Bootstrap = "parametric", seed: int = 0) -> Samples:
+def bootstrap(result: "FitResult", count: int = 1000, *, kind: Bootstrap = "parametric", seed: int = 0) -> Samples:
     """Refit simulated or resampled measurements `count` times.
 
     Parameters
@@ -205,7 +207,7 @@ def bootstrap(result: Fitted, count: int = 1000, *, kind: Bootstrap = "parametri
     return Samples(kind, seed, free, theta[good], deviance[good], lost)
 
 
-def refitted(result: Fitted, problem: Problem, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def refitted(result: "FitResult", problem: Problem, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """θ, deviance and convergence of the best refit per replicate; converged refits come before others."""
     starts = np.array([one.theta for one in result.roots[:MOST_STARTS]] or [result.theta])
     q, many = result.parameters, len(starts)
@@ -217,7 +219,7 @@ def refitted(result: Fitted, problem: Problem, count: int) -> tuple[np.ndarray, 
     return ends.theta.reshape(count, many, -1)[chosen], 2 * value[chosen], good[chosen] & np.isfinite(value[chosen])
 
 
-def simulated(result: Fitted, count: int, rng: np.random.Generator) -> Problem:
+def simulated(result: "FitResult", count: int, rng: np.random.Generator) -> Problem:
     """Draw measurements from the fitted model, and new values of the inputs from their priors."""
     problem, q = result.problem, result.parameters
     values, weights = {}, {}
@@ -238,7 +240,7 @@ def simulated(result: Fitted, count: int, rng: np.random.Generator) -> Problem:
     return problem.with_replicates(values, weights, means)
 
 
-def _resampled(result: Fitted, count: int, rng: np.random.Generator) -> Problem:
+def _resampled(result: "FitResult", count: int, rng: np.random.Generator) -> Problem:
     problem, n = result.problem, len(result.measurements)
     often = rng.multinomial(n, np.full(n, 1 / n), size=count).astype(float)
     values = {data.observable: np.repeat(data.value, count, axis=0) for data in problem.observed}
@@ -247,7 +249,7 @@ def _resampled(result: Fitted, count: int, rng: np.random.Generator) -> Problem:
 
 
 def posterior(
-    result: Fitted, *, samples: int = 1000, warmup: int = 500, chains: int = 4, seed: int = 0, progress: bool | None = None
+    result: "FitResult", *, samples: int = 1000, warmup: int = 500, chains: int = 4, seed: int = 0, progress: bool | None = None
 ) -> Samples:
     """Sample the posterior of a fit.
 

@@ -8,7 +8,7 @@ valley narrower than the grid is found if a start descends into it, or by the pr
 import dataclasses
 import functools
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -122,18 +122,30 @@ class Root:
         return bool(self.parameters.front.breaks_again(self.inputs).any())
 
 
-class Found(NamedTuple):
-    """What a search found."""
+class Curve(NamedTuple):
+    """A profile: nodes in increasing order, the deviance at each, and the best θ there."""
 
-    roots: list[Root]  # within `SLACK` of the least deviance, best first
+    node: np.ndarray  # (g,), θ of the parameter followed
+    deviance: np.ndarray  # (g,)
+    theta: np.ndarray  # (g, p)
+
+
+class Found(NamedTuple):
+    """What a search found, and what follows from it."""
+
+    minima: list[Root]  # within `SLACK` of the least deviance, best first
     theta: np.ndarray  # (p,), of the least deviance met, at a minimum or not
     deviance: float
     unconverged: list[tuple[float, str]]  # deviance and message of the starts that did not converge
     grid: Grid | None  # where one was searched
-    curves: dict[int, Any] = {}  # profiles of the requested parameters, where they were followed
+    curves: dict[int, Curve] = {}  # profiles of the requested parameters, where they were followed
     scatter: float | None = None  # factor on the stated σ, or on 1 λc, by which they match the scatter about the fit
     scatter_dof: float | None = None  # degrees of freedom left over by that
     closest: float | None = None  # relative distance of the lengths from the fit, where it is too small to be scatter
+    roots: tuple[Root, ...] = ()  # minima not excluded at 95 %
+    testable_dof: int | None = None  # degrees of freedom where χ² tests the model
+    attainable: np.ndarray = np.empty(0)  # longest length of each measurement at any stiffness searched, in λc
+    covered: dict[int, tuple[float, float]] = {}  # shares of simulated estimates within 1 and 1.96 standard errors
 
 
 def search(problem: Problem, *, method: Method, max_steps: int, seed: int, extra: np.ndarray | None = None) -> Found:
@@ -187,9 +199,9 @@ def ordered(problem: Problem, roots: Sequence[Root]) -> list[Root]:
 
 
 def between_contacts(problem: Problem, seed: int) -> np.ndarray | None:
-    """Typical error of every length by its definition, or by interpolation, in λc; None where all are small compared with σ.
+    """Typical error of every length by its definition, or by interpolation.
 
-    It is 0 for counts, unless lengths are interpolated.
+    In λc; 0 for counts, unless lengths are interpolated. None where all are small compared with σ.
     """
     data, q = problem.lengths, problem.parameters
     concerned = (data.kind == "length") | q.front.interpolated

@@ -1,66 +1,26 @@
-"""Record of a fit: values, errors, intervals, roots, and whether the data determine them at all."""
+"""Result of a fit: values, errors, intervals and verdicts, and what else would move them."""
 
 import dataclasses
-import enum
 import functools
 import itertools
+import json
+import os
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import chdtrc
 
+from slippulse_jax.files import write_atomically
+from slippulse_jax.inference import predicted, record, samples
+from slippulse_jax.inference import report as printer
+from slippulse_jax.inference.changes import find_changes, suggestions, total, total_interval, total_of_ratio
 from slippulse_jax.inference.columns import READINGS
 from slippulse_jax.inference.fronts import Regime
-from slippulse_jax.inference.intervals import Curve, Intervals, rise_of
+from slippulse_jax.inference.intervals import LEVELS, Interval, Intervals, rise_of
 from slippulse_jax.inference.likelihood import Problem
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet
-from slippulse_jax.inference.search import Root, describe
-
-LEVELS = (0.6827, 0.95)
-"""Confidence levels of intervals."""
-SCATTERED = 0.05
-"""Probability of χ², or of the largest pull, below which the report remarks on it."""
-
-
-class Identifiability(enum.Enum):
-    """Whether the data determine a parameter; the value is the sentence of the report."""
-
-    IDENTIFIED = "identified"
-    SEVERAL_ROOTS = "not identifiable as one number: more than one value fits"
-    AT_MAXIMUM = "not identifiable: the length is at or above the attainable maximum"
-    ONE_SIDED = "bounded on one side only"
-    AT_BOUND = "not identifiable: the best fit lies at an end of the range searched"
-    SKEWED = "identified, but not with a symmetric error"
-    REBREAKS = "identified for the first front only: in the model the edge breaks again and the event goes on"
-    EQUAL = "bounded, without a best value: all values inside the interval fit equally"
-    UNINFORMATIVE = "not identifiable: no value is preferred"
-    NO_SCATTER = "a value without an error: the lengths agree too closely to be measurements"
-    POOR_FIT = "the model does not describe these data"
-    NOT_CONVERGED = "the search did not converge"
-
-
-GRAVITY = (
-    Identifiability.NOT_CONVERGED, Identifiability.POOR_FIT, Identifiability.UNINFORMATIVE, Identifiability.AT_BOUND,
-    Identifiability.AT_MAXIMUM, Identifiability.NO_SCATTER, Identifiability.SEVERAL_ROOTS, Identifiability.ONE_SIDED,
-    Identifiability.EQUAL, Identifiability.REBREAKS, Identifiability.SKEWED, Identifiability.IDENTIFIED,
-)  # fmt: skip
-
-
-GIVEN = (Identifiability.IDENTIFIED, Identifiability.SKEWED, Identifiability.REBREAKS)
-"""Verdicts with a value."""
-
-
-class Verdict(NamedTuple):
-    """Verdict on one parameter, with its reason."""
-
-    identifiability: Identifiability
-    reason: str = ""
-
-
-def gravest(verdicts: dict[str, Verdict]) -> str:
-    """Name of the parameter with the gravest verdict."""
-    return min(verdicts, key=lambda name: GRAVITY.index(verdicts[name].identifiability))
+from slippulse_jax.inference.search import Curve, Root, describe
+from slippulse_jax.inference.verdict import GIVEN, GRAVITY, Identifiability, Verdict, directions
 
 
 class Further(NamedTuple):
@@ -79,8 +39,12 @@ class Further(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Fitted:
-    """What a fit found, and what follows from it without another fit."""
+class FitResult:
+    """Result of `fit`. Start with `report()`, `identifiability` and `intervals`.
+
+    What else would move it (`changes`, `next_steps`) is found by fitting again, once, when it is first asked for: by one of
+    these names, or by `report`, `str`, `to_dict` and `save`, which contain them. A result that `load_fit` reads has them.
+    """
 
     measurements: Measurements
     problem: Problem = dataclasses.field(metadata={"written": False})
@@ -98,15 +62,14 @@ class Fitted:
     unconverged: list[str]  # messages of the starts that did not converge and might matter
     attainable: np.ndarray  # longest length of each measurement at any stiffness searched, in λc
     attainable_at: np.ndarray  # k/K where
-    between_contacts: (
-        np.ndarray | None
-    )  # error of interpolation of each length in λc, added to σ in quadrature; None where small
+    between_contacts: np.ndarray | None  # in λc, of each length by interpolation, in σ already; None where small
     covered: dict[str, tuple[float, float]]  # shares of simulated estimates within 1 and 1.96 standard errors, if simulated
+    suspicions: tuple[str, ...] = ()  # likely mistakes of the table or the request, such as another unit
 
     @functools.cached_property
     def roots(self) -> list[Root]:
         """Minima not excluded at 95 %, best first."""
-        return [one for one in self.minima if one.deviance <= self.deviance + self.rise(LEVELS[-1])]
+        return [root for root in self.minima if root.deviance <= self.deviance + self.rise(LEVELS[-1])]
 
     @property
     def calibrated(self) -> bool:
@@ -142,13 +105,21 @@ class Fitted:
     @property
     def identifiability(self) -> Identifiability:
         """The gravest verdict on any requested parameter."""
-        return self.verdicts[gravest(self.verdicts)].identifiability
+        return self._gravest[1].identifiability
+
+    @property
+    def _gravest(self) -> tuple[str, Verdict]:
+        return min(self.verdicts.items(), key=lambda item: GRAVITY.index(item[1].identifiability))
+
+    @property
+    def rejected(self) -> bool:
+        """Whether model and σ do not describe the data, or the lengths are too long."""
+        return self.identifiability in (Identifiability.POOR_FIT, Identifiability.AT_MAXIMUM)
 
     @property
     def reason(self) -> str:
         """Why there is no plain standard error; empty where there is one for every parameter."""
-        name = gravest(self.verdicts)
-        reason = self.verdicts[name].reason
+        name, (_, reason) = self._gravest
         return f"{name}: {reason}" if reason and len(self.verdicts) > 1 else reason
 
     @property
@@ -294,7 +265,7 @@ class Fitted:
     @property
     def p_value(self) -> float | None:
         """Probability of so large a misfit if model and σ are right, or its upper bound; None where none is known."""
-        return None if self.testable_dof is None else float(chdtrc(self.testable_dof, self.misfit))
+        return self.problem.p_value(self.deviance, self.testable_dof)
 
     @property
     def misfit(self) -> float:
@@ -310,3 +281,91 @@ class Fitted:
         off = np.where(kind == "whole", np.where(off > 0, off, np.minimum(off + 1, 0)), off)
         off = np.where(kind == "at_least", np.minimum(off, 0), off)
         return off / np.where(self.sigma > 0, self.sigma, 1)
+
+    changes = functools.cached_property(find_changes)
+    next_steps = functools.cached_property(suggestions)
+    curve = predicted.curve
+    field = predicted.field
+    bootstrap = samples.bootstrap
+    posterior = samples.posterior
+    notes = property(printer.notes)
+    report = printer.report
+    methods = printer.methods
+    _repr_html_ = printer.html_of
+    to_dict = record.to_dict
+    to_dataframe = record.to_dataframe
+
+    @functools.cached_property
+    def groups(self) -> tuple[predicted.Along, list[np.ndarray]]:
+        """What lengths are drawn against, and which measurements lie on one curve."""
+        along = predicted.abscissa(self)
+        return along, predicted.on_one_curve(self, along)
+
+    @functools.cached_property
+    def totals(self) -> dict[str, tuple[float | None, Interval | None]]:
+        """Standard error and 68 % interval of each parameter, with usual errors of inputs.
+
+        Those of the inputs taken as exact (`changes`); None where there is none.
+        """
+        known = {name: total_interval(self, name, self.changes) if name in self.given else None for name in self.names}
+        return {name: (total(self, name, self.changes), piece) for name, piece in known.items()}
+
+    @functools.cached_property
+    def totals_of_ratios(self) -> dict[tuple[str, str], float | None]:
+        """Standard errors of `stiffness_ratios`, with usual errors of inputs; None where there is none."""
+        return {labels: total_of_ratio(self, labels, self.changes) for labels in self.stiffness_ratios}
+
+    @property
+    def stderrs_with_inputs(self) -> dict[str, float | None]:
+        """Standard errors with usual errors of inputs taken as exact (`changes`); None as in `stderrs`."""
+        return {name: error for name, (error, _) in self.totals.items()}
+
+    @property
+    def errors_with_inputs(self) -> dict[str, tuple[float, float] | None]:
+        """Errors to publish, below and above each value, with usual errors of inputs.
+
+        The sides of the 68 % interval, each widened by the errors of inputs taken as exact; else the standard error twice. None
+        where there is no value.
+        """
+        found: dict[str, tuple[float, float] | None] = dict.fromkeys(self.names)
+        for name in self.given:
+            value, (error, piece) = self.values[name], self.totals[name]
+            found[name] = None if error is None else (error, error)
+            if piece is not None and piece.encloses(value):
+                found[name] = value - piece.low, piece.high - value
+        return found
+
+    @functools.cached_property
+    def directions(self) -> list[dict[str, Any]]:
+        """Combinations of the parameters by how well they are determined: `combination`, `stderr` and `coefficients`."""
+        return directions(self.problem, self.theta)
+
+    def __repr__(self) -> str:
+        values = ", ".join(f"{name} = {value:.4g}" for name, value in self.values.items())
+        return f"FitResult({self.identifiability.name}: {values}; report() says more)"
+
+    def __str__(self) -> str:
+        return self.report()
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the result as JSON, as ``slippulse fit --json`` prints it; `load_fit` reads it."""
+        text = json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+        write_atomically(path, (text + "\n").encode())
+
+
+def load_fit(path: str | os.PathLike[str]) -> FitResult:
+    """Read a fit that `FitResult.save` wrote, or ``slippulse fit --json`` printed.
+
+    Nothing is fitted again: measurements, request, what the search found, and what else would move the result are in the file.
+    What else would move a fit that version 0.2 wrote is found when it is first asked for.
+
+    Raises
+    ------
+    OSError
+        If there is no such file, or it cannot be opened.
+    ValueError
+        If it is no fit, or has another schema.
+    """
+    result, known = record.of_dict(FitResult, record.read_record(path))
+    vars(result).update(known)  # where `cached_property` keeps them
+    return result
