@@ -150,7 +150,7 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
 
 
 def _draw(result: "FitResult", samples: dict[str, Any], options: dict[str, Any]) -> None:
-    """Draw the requested pictures; in the corner plot all samples that were drawn."""
+    """Draw the requested pictures, with all samples in the corner plot."""
     if not any(options[name] for name in ("figure", "profiles", "gauge_figure", "corner")):
         return
     from slippulse_jax import plot

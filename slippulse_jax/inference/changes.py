@@ -1,4 +1,4 @@
-"""Changes that would move a fit: usual errors of its inputs, another body, richer models.
+"""Changes that would move a fit: inputs, bodies, richer models.
 
 An input without a standard error of its own is taken as exact, and a table rarely states everything. What that leaves out is
 found by fitting again with one thing changed for all measurements alike: near the fit where it is a usual error, as of a wrong
@@ -60,7 +60,7 @@ MOST_OUTLIERS = 5
 
 
 class Change(NamedTuple):
-    """Something that may be otherwise than the fit takes it, and how far it would move each fitted parameter.
+    """Something that may be otherwise, and how far parameters would move.
 
     A move is that of the logarithm of a positive parameter, else of the parameter itself; NaN where nothing then fits.
     """
@@ -73,7 +73,7 @@ class Change(NamedTuple):
     several: tuple[bool, ...] = ()  # which of the moves are by a fit with more than one value, of which this is the first
 
     def both(self, name: str) -> tuple[float, float]:
-        """Moves of a parameter by the usual error of an input, and by its opposite."""
+        """Moves of a parameter by a usual error and its opposite."""
         (move,), opposite = self.moves[name], self.opposite[name]
         return (-opposite if math.isnan(move) else move), opposite
 
@@ -84,7 +84,7 @@ class Change(NamedTuple):
 
 
 def find_changes(result: "FitResult") -> list[Change]:
-    """List what would move the parameters that have a value, or several; largest first."""
+    """List what would move the parameters, largest first."""
     if not result.moved:
         return []
     every = [*_of_inputs(result), *_of_ends(result), *_of_bodies(result)]
@@ -92,7 +92,10 @@ def find_changes(result: "FitResult") -> list[Change]:
 
 
 def _size(change: Change, result: "FitResult") -> float:
-    """Size of the largest move, in the order in which a report has them: none known, factors, then per cent."""
+    """Size of the largest move, as a report orders them.
+
+    None known, factors, then per cent.
+    """
     sizes = [0.0]
     for name, moves in change.moves.items():
         if any(map(math.isnan, moves)):
@@ -130,10 +133,10 @@ def _of_inputs(result: "FitResult") -> Iterator[Change]:
 
 
 def _allowed(result: "FitResult", name: str, error: float) -> np.ndarray:
-    """Moves of θ by an input whose usual error the data exclude: by its error in a fit in which it is fitted too.
+    """Moves of θ by an input whose usual error the data exclude.
 
-    To first order, from refits with the input moved a little either way: as the deviance rises by (step/σ)², the data know the
-    input to σ, beside what is usual.
+    By its error in a fit in which it is fitted too. To first order, from refits with the input moved a little either way: as
+    the deviance rises by (step/σ)², the data know the input to σ, beside what is usual.
     """
     steps = (-SMALL * error, SMALL * error)
     (low, below), (high, above) = (_refitted(result, _moved(result.measurements, name, by)) for by in steps)
@@ -151,7 +154,7 @@ def _moves(result: "FitResult", m: Measurements) -> dict[str, tuple[float]]:
 
 
 def _refitted(result: "FitResult", m: Measurements) -> tuple[np.ndarray, float]:
-    """θ of the first minimum near those known, for other measurements, and its deviance."""
+    """θ and deviance of the first minimum nearby, for other measurements."""
     q = result.parameters
     # a block is much like the one that was followed, but for the place of its push, next to which events step
     own = result.measurements
@@ -210,7 +213,10 @@ def _again(
 
 
 def _starts(result: "FitResult", q: ParameterSet, count: int = STARTS) -> np.ndarray:
-    """Start at the best fit and all over the range of the stiffness: a misfit may have driven it far away."""
+    """Start at the best fit and over the range of stiffness.
+
+    A misfit may have driven it far away.
+    """
     thetas = [result.theta, *(root.theta for root in result.minima)]
     every = [dict(zip(result.parameters.names, theta, strict=True)) for theta in thetas]
     start = np.array([[known.get(one.label, known.get(one.name, 0.0)) for one in q.free] for known in every])
@@ -220,7 +226,10 @@ def _starts(result: "FitResult", q: ParameterSet, count: int = STARTS) -> np.nda
 
 
 def _taken_as_exact(m: Measurements, name: str) -> bool:
-    """Whether the table has this input without an error; counted contacts have no scale of length."""
+    """Whether the table has this input without an error.
+
+    Counted contacts have no scale of length.
+    """
     if name == "length":
         return set(m.kind) != {"whole"}
     errors = getattr(m, f"{name}_sigma")
@@ -228,7 +237,10 @@ def _taken_as_exact(m: Measurements, name: str) -> bool:
 
 
 def _moved(m: Measurements, name: str, by: float) -> Measurements:
-    """Measurements with one input larger by `by` throughout; lengths in metres stay the same as λc changes."""
+    """Enlarge one input of all measurements by `by`.
+
+    Lengths in metres stay the same as λc changes.
+    """
     if name == "poisson":
         return dataclasses.replace(m, poisson=m.poisson + by)
     factor, counted = np.exp(by), np.array(m.kind) == "whole"
@@ -244,7 +256,7 @@ def _moved(m: Measurements, name: str, by: float) -> Measurements:
 
 
 def _of_ends(result: "FitResult") -> Iterator[Change]:
-    """An end of the block, a machine that gives way and a model factor, as far as the table states none.
+    """End of the block, soft machine, model factor, if none stated.
 
     Ends and machines for lengths of first fronts only: gauges take long to compute again, as do fronts of very many contacts,
     and whole events are for blocks without end.
@@ -315,7 +327,7 @@ def of_inputs(moved: Sequence[Change]) -> list[Change]:
 
 
 def total(result: "FitResult", name: str, moved: Sequence[Change]) -> float | None:
-    """Standard error of a parameter, inputs taken as exact included; None where there is none."""
+    """Total standard error of a parameter; None where there is none."""
     stderr = result.stderrs[name]
     if stderr is None:
         return None
@@ -324,7 +336,7 @@ def total(result: "FitResult", name: str, moved: Sequence[Change]) -> float | No
 
 
 def total_interval(result: "FitResult", name: str, moved: Sequence[Change]) -> Interval | None:
-    """The 68 % interval of a parameter, each side widened by the errors of the inputs taken as exact.
+    """The 68 % interval, widened by errors of inputs.
 
     In quadrature; of a positive parameter in its logarithm. None where the interval is open or in pieces.
     """
@@ -339,7 +351,7 @@ def total_interval(result: "FitResult", name: str, moved: Sequence[Change]) -> I
 
 
 def total_of_ratio(result: "FitResult", labels: tuple[str, str], moved: Sequence[Change]) -> float | None:
-    """Standard error of the ratio of two stiffnesses, inputs taken as exact included; None where there is none.
+    """Total standard error of a ratio of stiffnesses, or None.
 
     Errors of inputs measured on each specimen, its heights, are independent; the others move both stiffnesses.
     """
@@ -356,11 +368,11 @@ def total_of_ratio(result: "FitResult", labels: tuple[str, str], moved: Sequence
 
 
 def suggestions(result: "FitResult") -> list[str]:
-    """Suggest what to try next, with the option: what the residuals of a rejected fit indicate, or inputs that may be shared.
+    """Suggest what to try next, with the option.
 
-    Each fit with one freedom more starts from the best fit. It is suggested if the data would then be accepted, or if χ² per
-    degree of freedom falls to a fifth; the best first. Where the fit is not rejected but scatters more than σ implies, it is
-    suggested if it then no longer does.
+    What the residuals of a rejected fit indicate, or inputs that may be shared. Each fit with one freedom more starts from the
+    best fit. It is suggested if the data would then be accepted, or if χ² per degree of freedom falls to a fifth; the best
+    first. Where the fit is not rejected but scatters more than σ implies, it is suggested if it then no longer does.
     """
     m, dof = result.measurements, result.testable_dof
     p_value = result.p_value if result.problem.plain else None
@@ -390,7 +402,7 @@ def suggestions(result: "FitResult") -> list[str]:
 
 
 def _shared(result: "FitResult") -> Iterator[str]:
-    """Suggest sharing a material constant whose value and error are stated alike for all specimens."""
+    """Suggest sharing a constant that is stated alike for all specimens."""
     m, found = result.measurements, result.parameters.free
     for name in ("young", "poisson", "correlation_length", "push_height"):
         each = [one for one in found if one.name == name and one.nuisance]
@@ -410,7 +422,10 @@ def _shared(result: "FitResult") -> Iterator[str]:
 
 
 def _trend(result: "FitResult") -> str:
-    """Describe a trend of the residuals with the height; empty where there is none, or fewer than three heights."""
+    """Describe a trend of the residuals with the height, if any.
+
+    Of three heights or more.
+    """
     height = result.measurements.height
     if len(set(height.tolist())) < 3:
         return ""
@@ -420,7 +435,10 @@ def _trend(result: "FitResult") -> str:
 
 
 def _richer(result: "FitResult") -> Iterator[tuple[float, int, str]]:
-    """Try one stiffness for each specimen, and a prestress: the least deviance, the additional freedoms, and how to fit it."""
+    """Try one stiffness for each specimen, and a prestress.
+
+    Each with the least deviance, the additional freedoms, and how to fit it.
+    """
     m, wanted = result.measurements, list(result.parameters.wanted)
     shared = next((one for one in wanted if one.name in STIFFNESSES and one.value is None and one.each is None), None)
     if shared is not None and len(set(m.specimen)) > 1:
@@ -456,7 +474,7 @@ def _in_python(one: Parameter) -> str:
 
 
 def _with(result: "FitResult", wanted: list[Parameter]) -> tuple[float, int]:
-    """Least deviance of a fit of these parameters, and how many more they are."""
+    """Least deviance with these parameters, and how many more they are."""
     m, front = result.measurements, result.parameters.front
     q = parameter_set(m, wanted, front.event, front.body, front=front)
     problem = make_problem(m, q, result.problem.loss, result.sigma)
@@ -465,13 +483,13 @@ def _with(result: "FitResult", wanted: list[Parameter]) -> tuple[float, int]:
 
 
 def _valleys(problem: Problem, points: np.ndarray) -> np.ndarray:
-    """Those of some points at which the deviance is no larger than at the points before and after, and not infinite."""
+    """Points at which a finite deviance is below that beside them."""
     value = np.concatenate([[np.inf], problem(points).value, [np.inf]])
     return points[(value[1:-1] <= value[:-2]) & (value[1:-1] <= value[2:]) & np.isfinite(value[1:-1])]
 
 
 def _outliers(result: "FitResult") -> Iterator[tuple[float, int, str]]:
-    """Try to leave one measurement out, that without which the deviance is least; as `_richer`."""
+    """Try to leave out the measurement that fits worst; as `_richer`."""
     m, problem, q = result.measurements, result.problem, result.parameters
     if len(m) < 4:
         return
@@ -490,7 +508,10 @@ def _outliers(result: "FitResult") -> Iterator[tuple[float, int, str]]:
 
 
 def _offered(result: "FitResult", tried: Iterable[tuple[float, int, str]]) -> list[str]:
-    """Suggestions with their χ², if that is accepted or much lower per degree of freedom; the best first."""
+    """Suggestions with their χ², the best first.
+
+    If that is accepted, or much lower per degree of freedom.
+    """
     least = IMPROBABLE if (result.p_value or 0.0) < IMPROBABLE else SCATTERED
     most, found = MUCH * result.deviance / (result.testable_dof or 1), []
     for deviance, more, text in tried:

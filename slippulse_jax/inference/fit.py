@@ -1,4 +1,4 @@
-"""The fit: every minimum of the deviance, profile-likelihood intervals, and a verdict on each parameter."""
+"""The fit: every minimum, profile-likelihood intervals, a verdict on each parameter."""
 
 import dataclasses
 import os
@@ -214,14 +214,14 @@ def fit(
 
 @contextmanager
 def _progress(problem: Problem) -> Iterator[Problem]:
-    """Show a progress bar of the evaluations; on a terminal at once, because the first fit compiles before it counts."""
+    """Show a progress bar; on a terminal at once, before compiling."""
     delay = 0 if sys.stderr is not None and sys.stderr.isatty() else 2
     with tqdm(desc="fit (the first compiles)", unit=" lengths", unit_scale=True, delay=delay, leave=False, disable=None) as bar:
         yield dataclasses.replace(problem, tick=bar.update)
 
 
 def _in_units(problem: Problem, best: np.ndarray, pieces: dict[str, Intervals]) -> dict[str, Intervals]:
-    """Convert intervals to the units of the parameters; add those of k/K where it is proportional to one of them."""
+    """Convert intervals to units, and add k/K where that is proportional."""
     q = problem.parameters
 
     def converted(found: Intervals, unit: Callable[[float], float]) -> Intervals:
@@ -260,7 +260,7 @@ def _check_calibrated(problem: Problem, intervals: str, scaled: bool) -> None:
 
 
 def _of_counts(problem: Problem, held: list[Interval]) -> Found:
-    """Put a root in the middle of every range that the counts allow, the softest first."""
+    """Put a root in every range that counts allow, softest first."""
     middle = np.array([[(piece.low + piece.high) / 2] for piece in held])
     value = 2 * problem(middle).value
     minima = [describe(problem, point, float(v)) for point, v in zip(middle, value, strict=True)]
@@ -317,7 +317,10 @@ def _explore(problem: Problem, method: Method, max_steps: int, seed: int) -> Fou
 
 
 def _softer(problem: Problem, stiff: Root, **options: Any) -> list[Root]:
-    """Find minima below a stiffness at which a contact breaks again that the data accept, whatever their deviance."""
+    """Find softer minima that the data accept, whatever their deviance.
+
+    Below a stiffness at which a contact breaks again.
+    """
     q = problem.parameters
     moved = np.array([one.name in STIFFNESSES for one in q.free])
     below = q.low + np.linspace(0, 1, SOFTER)[:-1, None] * (stiff.theta - q.low)
@@ -332,7 +335,10 @@ def _valleys(deviance: np.ndarray, limit: float) -> np.ndarray:
 
 
 def _crossed(roots: list[Root]) -> list[np.ndarray]:
-    """Each root with one coordinate of another: two valleys of each of two parameters make four minima."""
+    """Combine each root with one coordinate of another.
+
+    Two valleys of each of two parameters make four minima.
+    """
     pairs = [(a.theta, b.theta) for a in roots for b in roots if a is not b]
     return [np.where(np.arange(len(a)) == j, b, a) for a, b in pairs for j in range(len(a)) if len(a) > 1]
 
@@ -344,7 +350,7 @@ def _near(curve: Curve, i: int, root: Root) -> bool:
 
 
 def _lowest(roots: list[Root], curves: dict[int, Curve], best: np.ndarray, deviance: float) -> tuple[np.ndarray, float]:
-    """Return the first root if nothing lies lower than all; otherwise a point of a profile, such as the end of the range."""
+    """Return the first root, or a lower point of a profile."""
     for curve in curves.values():
         i = int(np.argmin(curve.deviance))
         if curve.deviance[i] < deviance - 1e-9 * max(1.0, abs(deviance)):

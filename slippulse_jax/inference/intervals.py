@@ -1,4 +1,4 @@
-"""Intervals of a parameter: by profile likelihood, by simulated measurements, and by counts.
+"""Intervals of a parameter: by profile likelihood, by simulation, by counts.
 
 The length rises with stiffness, peaks and falls again, so that the likelihood can have two maxima, a broad top, or an open
 side. A curvature at the best point misses that. A profile-likelihood interval does not: it is the set of values whose
@@ -58,7 +58,7 @@ HALVINGS = 48  # of a bracket between two nodes: to rounding
 
 
 class Interval(NamedTuple):
-    """One piece of a profile-likelihood interval; on an open side it reaches the end of the range searched."""
+    """One piece of an interval, open at ends of the range."""
 
     low: float
     high: float
@@ -91,11 +91,11 @@ def _changes(inside: np.ndarray) -> list[int]:
 
 
 def rise_of(level: float, parameters: int = 1, dof: float | None = None) -> float:
-    """Rise of the deviance at the ends of an interval: 1 at 68.27 % and 3.84 at 95 % for one parameter and known σ.
+    """Rise of the deviance at the ends of an interval.
 
-    With known σ that is the quantile of χ² with one degree of freedom for each parameter followed. Where the size of the
-    errors is itself estimated, with `dof` degrees of freedom, it is larger, by the F distribution: exactly so for a
-    straight-line model.
+    1 at 68.27 % and 3.84 at 95 % for one parameter and known σ. With known σ that is the quantile of χ² with one degree of
+    freedom for each parameter followed. Where the size of the errors is itself estimated, with `dof` degrees of freedom, it is
+    larger, by the F distribution: exactly so for a straight-line model.
     """
     if dof is None:
         return float(chdtri(parameters, 1 - level))
@@ -103,7 +103,7 @@ def rise_of(level: float, parameters: int = 1, dof: float | None = None) -> floa
 
 
 def constrained(problem: Problem, held: np.ndarray, nodes: np.ndarray, starts: np.ndarray, *, enough: float = np.inf) -> Curve:
-    """Least deviance at every node with the `held` coordinates fixed there; the best of all starts.
+    """Least deviance at every node, with the `held` coordinates fixed there.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def constrained(problem: Problem, held: np.ndarray, nodes: np.ndarray, starts: n
 
 
 def profile(problem: Problem, j: int, roots: list[Root], seeds: np.ndarray, grid: Grid | None = None) -> Curve:
-    """Profile of parameter j over its whole range, with nodes crowded around every root.
+    """Profile of parameter j, with nodes crowded around every root.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def profile(problem: Problem, j: int, roots: list[Root], seeds: np.ndarray, grid
 
 
 def _predicted(node: np.ndarray, j: int, roots: list[Root], seeds: np.ndarray, problem: Problem) -> np.ndarray:
-    """Starts at each node, (g, s, p): every root moved along its ridge, and the other points."""
+    """Starts at each node, (g, s, p): roots along ridges, other points."""
     starts = [np.broadcast_to(seed, (len(node), problem.p)) for seed in seeds]
     for root in roots:
         moved = (node - root.theta[j])[:, None] * root.covariance[:, j] / root.covariance[j, j]
@@ -172,7 +172,7 @@ def _predicted(node: np.ndarray, j: int, roots: list[Root], seeds: np.ndarray, p
 
 
 def _from_neighbours(problem: Problem, held: np.ndarray, curve: Curve, enough: float) -> Curve:
-    """Minimise again at each node from the results of its neighbours, until no node that matters improves."""
+    """Minimise again from neighbouring nodes until no node that matters improves."""
     theta, deviance = curve.theta.copy(), curve.deviance.copy()
     look = np.arange(len(theta))
     while len(look):
@@ -199,9 +199,10 @@ def allowed(problem: Problem, j: int, curve: Curve, limits: dict[float, float]) 
 
 
 def _crossings(problem: Problem, j: int, curve: Curve, brackets: list[tuple[int, float]]) -> list[float]:
-    """Find where the profile crosses each limit between node i and the next, all at once, by false position (Illinois).
+    """Find where a profile crosses limits, by false position (Illinois).
 
-    Of the root of its rise, which is straight where the profile is a parabola, and on the wall beyond the edge of a count.
+    Each between node i and the next, all at once. Of the root of its rise, which is straight where the profile is a parabola,
+    and on the wall beyond the edge of a count.
     """
     index = np.array([i for i, _ in brackets], dtype=int)
     limit, least = np.array([x for _, x in brackets]), curve.deviance.min()
@@ -232,7 +233,10 @@ def _crossings(problem: Problem, j: int, curve: Curve, brackets: list[tuple[int,
 
 
 def profile_2d(problem: Problem, i: int, j: int, first: np.ndarray, second: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    """Least deviance at every pair of values of parameters i and j, (a, b); `starts` (s, p) are points to begin from."""
+    """Least deviance at every pair of values of two parameters, (a, b).
+
+    `starts`, (s, p), are points to begin from.
+    """
     held = np.isin(np.arange(problem.p), (i, j))
     a, b = np.meshgrid(first, second, indexing="ij")
     nodes = np.stack([a.ravel(), b.ravel()] if i < j else [b.ravel(), a.ravel()], axis=1)
@@ -244,7 +248,7 @@ def profile_2d(problem: Problem, i: int, j: int, first: np.ndarray, second: np.n
 
 
 class Table(NamedTuple):
-    """Predictions at M values of one parameter, at each of which the other takes several."""
+    """Predictions at M values of one parameter, for several of another."""
 
     node: np.ndarray  # (M,), θ of the parameter
     best: np.ndarray  # (M,), row of the best value of the other
@@ -254,7 +258,7 @@ class Table(NamedTuple):
 
 
 def can_be_calibrated(problem: Problem) -> bool:
-    """Whether this is a fit of one or two parameters to values with Gaussian errors."""
+    """Whether one or two parameters are fitted to Gaussian values."""
     return problem.p <= 2 and problem.plain
 
 
@@ -298,7 +302,9 @@ def calibrated(
     curves: dict[int, Curve] | None = None,
     seed: int = 0,
 ) -> dict[int, tuple[Intervals, tuple[float, float]]]:
-    """Simulate the intervals of each θ_j, and the shares of estimates within 1 and 1.96 standard errors of its best value.
+    """Simulate the intervals of each θ_j.
+
+    With the shares of estimates within 1 and 1.96 standard errors of its best value.
 
     Parameters
     ----------
@@ -320,7 +326,7 @@ def calibrated(
 def _simulated(
     problem: Problem, levels: tuple[float, ...], j: int, table: Table, seed: int
 ) -> tuple[Intervals, tuple[float, float]]:
-    """Simulate measurements at each value of θ_j and fit them by the table."""
+    """Simulate measurements at each θ_j and fit them by the table."""
     deviance = (table.off**2).sum(axis=1)
     rise = np.minimum.reduceat(deviance, np.searchsorted(table.column, np.arange(len(table.node)))) - deviance.min()
     candidates = np.nonzero(rise < HOPELESS)[0]
@@ -341,7 +347,7 @@ def _simulated(
 
 
 def _residuals(problem: Problem, theta: np.ndarray) -> np.ndarray:
-    """Residuals at points (B, p); very large instead of infinite where the front never stops."""
+    """Residuals at points (B, p); very large where the front never stops."""
     found = problem.residuals(theta)
     return np.where(np.isfinite(found), found, 1e9)
 
@@ -366,7 +372,10 @@ def _along(problem: Problem) -> Table:
 
 
 def _across(problem: Problem, j: int, curve: Curve) -> Table:
-    """Choose values of θ_j along its profile, and at each those of the other parameter that are not hopeless."""
+    """Choose values of θ_j, and at each those of the other.
+
+    Along the profile, and those that are not hopeless.
+    """
     near = curve.deviance <= curve.deviance.min() + HOPELESS
     profile = np.nonzero(near)[0]
     profile = np.arange(max(profile[0] - 1, 0), min(profile[-1] + 2, len(near)))
@@ -393,10 +402,11 @@ def _across(problem: Problem, j: int, curve: Curve) -> Table:
 
 
 def _not_hopeless(problem: Problem, j: int, node: np.ndarray, ridge: np.ndarray, limit: float) -> list[np.ndarray]:
-    """Values of the other parameter at each of θ_j with a deviance below the limit, and on the ridge; in increasing order.
+    """Values of the other parameter at each θ_j, in increasing order.
 
-    They end parts of its range that are halved until the predictions in each change by `APART`; a part is left out
-    if its deviance is above the limit everywhere, should the predictions follow a path no longer than `PATH` times straight.
+    Those with a deviance below the limit, and on the ridge. They end parts of its range that are halved until the predictions
+    in each change by `APART`; a part is left out if its deviance is above the limit everywhere, should the predictions follow a
+    path no longer than `PATH` times straight.
     """
     low, high, count = problem.parameters.low[1 - j], problem.parameters.high[1 - j], len(node)
     every = np.linspace(low, high, NODES)
@@ -425,7 +435,7 @@ def _not_hopeless(problem: Problem, j: int, node: np.ndarray, ridge: np.ndarray,
 
 
 def _points(node: np.ndarray, others: list[np.ndarray], j: int) -> np.ndarray:
-    """Points (G, 2) of every value of θ_j with each of the other's values there."""
+    """Points (G, 2) of every θ_j with each of the other's values."""
     theta = np.empty((sum(len(y) for y in others), 2))
     theta[:, j] = np.repeat(node, [len(y) for y in others])
     theta[:, 1 - j] = np.concatenate(others)
@@ -433,7 +443,10 @@ def _points(node: np.ndarray, others: list[np.ndarray], j: int) -> np.ndarray:
 
 
 def _refitted(table: Table, true: int, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rise of D at the true value above its minimum, and the value at that minimum, per simulation."""
+    """Rise of D at the true value, and the best value.
+
+    Above its minimum, one per simulation.
+    """
     # single precision is enough: the table is far coarser
     off = (table.off - table.off[table.best[true]]).clip(-1e6, 1e6).astype(np.float32)
     # |y − μ|² = |ε|² − 2 ε·off + |off|², and |ε|² is the same everywhere; one product, a simulation per row
@@ -449,7 +462,7 @@ def _refitted(table: Table, true: int, noise: np.ndarray) -> tuple[np.ndarray, n
 
 
 def _standard_errors(problem: Problem, j: int, theta: np.ndarray) -> np.ndarray:
-    """Standard error of θ_j from the information at each point; inf where that is singular."""
+    """Standard error of θ_j at each point; inf where it is undetermined."""
     information = problem(theta, order=1).metric
     regular = np.linalg.cond(information) < 1e14
     found = np.full(len(theta), np.inf)
@@ -470,7 +483,7 @@ def _below(node: np.ndarray, excess: np.ndarray) -> list[Interval]:
 
 
 def allowed_by_counts(problem: Problem) -> tuple[list[Interval], list[int]]:
-    """Values of the parameter under which every count holds, as pieces in increasing order.
+    """Values under which every count holds, as pieces in increasing order.
 
     If there are none: the fewest measurements without which there would be some, by index.
 

@@ -1,4 +1,4 @@
-"""Log density of the measurements and priors over the fitted θ: the one function that every inference is made of.
+"""Log density of measurements and priors, of which every inference consists.
 
 `log_density(theta, problem)` is traced by JAX: −ln p of each datum given its prediction (`length_cost`, `count_cost`,
 `at_least_cost`), summed with the Gaussian priors. A fit evaluates it for thousands of θ at once by calling the `Problem`: the
@@ -58,7 +58,7 @@ EXPECTED = {"normal": 1.0, "student": (STUDENT_DOF + 1) * float(digamma((STUDENT
 
 
 def loss_of(half_square: ArrayLike, loss: Loss = "normal") -> Array:
-    """Loss as a function of r²/2; its derivative is the weight of a residual."""
+    """Loss as a function of r²/2; its derivative weights a residual."""
     u = jnp.asarray(half_square)
     return (STUDENT_DOF + 1) / 2 * jnp.log1p(2 * u / STUDENT_DOF) if loss == "student" else u
 
@@ -67,16 +67,17 @@ def loss_of(half_square: ArrayLike, loss: Loss = "normal") -> Array:
 
 
 def length_cost(mu: Array, value: ArrayLike, sigma: ArrayLike, loss: Loss = "normal") -> Array:
-    """−ln p of a measured value, minus that of a perfect match; inf where the prediction is inf."""
+    """−ln p of a value, beyond a perfect match's; inf for inf."""
     finite = jnp.isfinite(mu)
     r = (jnp.where(finite, mu, value) - value) / sigma
     return jnp.where(finite, loss_of(r**2 / 2, loss), jnp.inf)
 
 
 def count_cost(mu: Array, value: ArrayLike, sigma: ArrayLike, sharpest: float = SHARPEST) -> Array:
-    """−ln[Φ((n − μ)/σ) − Φ((n − 1 − μ)/σ)]: n contacts counted, a length between n − 1 and n with a blur σ.
+    """−ln p of n counted contacts.
 
-    A count of 1 is any length up to 1, 0 included: contact 0 breaks even where no domino starts. It costs −ln Φ((1 − μ)/σ).
+    A length between n − 1 and n: −ln[Φ((n − μ)/σ) − Φ((n − 1 − μ)/σ)], with a blur σ. A count of 1 is any length up to 1, 0
+    included: contact 0 breaks even where no domino starts. It costs −ln Φ((1 − μ)/σ).
     """
     blur = jnp.maximum(sigma, sharpest)
     finite = jnp.isfinite(mu)
@@ -92,13 +93,13 @@ def count_cost(mu: Array, value: ArrayLike, sigma: ArrayLike, sharpest: float = 
 
 
 def at_least_cost(mu: Array, value: ArrayLike, sigma: ArrayLike) -> Array:
-    """−ln Φ((μ − value)/σ): a front that ran past `value`; 0 for a prediction of inf."""
+    """−ln Φ((μ − value)/σ): a front past `value`; 0 for inf."""
     finite = jnp.isfinite(mu)
     return jnp.where(finite, -log_ndtr((jnp.where(finite, mu, value) - value) / jnp.maximum(sigma, SHARPEST)), 0)
 
 
 def log_ndtr(x: Array) -> Array:
-    """Logarithm of the normal distribution function; below x = −20 by its series, whose derivatives are right however far."""
+    """Logarithm of the normal distribution function, far down by its series."""
     is_far = x < -20
     far = jnp.where(is_far, x, -20.0)
     series = jnp.ones_like(far)
@@ -119,7 +120,9 @@ def _cost(kind: str, loss: Loss) -> Callable[..., Array]:
 def data_log_density(
     mu: ArrayLike, value: ArrayLike, sigma: ArrayLike, kind: str = "length", exact: bool = False
 ) -> np.ndarray:
-    """Log density of data given their predictions, without the constants; arrays that broadcast, NumPy float64.
+    """Log density of data given their predictions, without the constants.
+
+    Arrays that broadcast, NumPy float64.
 
     Parameters
     ----------
@@ -145,7 +148,10 @@ def _values(kind: str, exact: bool) -> Kernel:
 
 @cache
 def _derivatives(kind: str, loss: Loss) -> Kernel:
-    """Cost of data (μ, value, σ), its first derivative in μ, the positive part of the second, and the second."""
+    """Cost of data (μ, value, σ), and derivatives in μ.
+
+    The first, the positive part of the second, and the second.
+    """
     cost = _cost(kind, loss)
 
     def one(mu: Array, value: Array, sigma: Array) -> tuple[Array, ...]:
@@ -166,7 +172,10 @@ def _derivatives(kind: str, loss: Loss) -> Kernel:
 
 
 class Observations(NamedTuple):
-    """The data of one observable: n data of R replicates each; R = 1 for the measurements themselves."""
+    """The data of one observable: n data of R replicates each.
+
+    R = 1 for the measurements themselves.
+    """
 
     kind: np.ndarray  # (n,) of "length", "whole", "at_least"
     value: np.ndarray  # (R, n), in λc, m or N/m; the count, or the length run past
@@ -181,7 +190,7 @@ class Observations(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """−ln p of every datum, shape (B, n), and its derivatives in the prediction μ."""
+    """−ln p of every datum, (B, n), and its derivatives in μ."""
 
     value: np.ndarray
     slope: np.ndarray  # ∂/∂μ
@@ -264,16 +273,17 @@ class Problem:
 
     @property
     def exact_values(self) -> bool:
-        """Whether every datum is a value with an error, none a count or a front without arrest."""
+        """Whether every datum is a value with an error."""
         return self.known == self.count
 
     def testable(self, theta: np.ndarray) -> int | None:
-        """Degrees of freedom of the deviance beyond `perfect` at its minimum θ; None where its distribution is not known.
+        """Degrees of freedom of the deviance at its minimum θ.
 
-        Of values and priors it is χ², with a degree for each less one for each parameter. That holds beside counts and fronts
-        without arrest too, if these cost nothing at the minimum. If some do, the degrees of freedom are an upper bound: none is
-        subtracted for parameters, and one with an error adds two, since a datum of probability below P occurs with a
-        probability of at most P (2 P for counts, which are off either way), so that −2 ln P is at most χ² of two degrees.
+        Beyond `perfect`; None where its distribution is not known. Of values and priors it is χ², with a degree for each less
+        one for each parameter. That holds beside counts and fronts without arrest too, if these cost nothing at the minimum. If
+        some do, the degrees of freedom are an upper bound: none is subtracted for parameters, and one with an error adds two,
+        since a datum of probability below P occurs with a probability of at most P (2 P for counts, which are off either way),
+        so that −2 ln P is at most χ² of two degrees.
         """
         if self.loss != "normal":
             return None
@@ -284,20 +294,26 @@ class Problem:
         return dof if dof > 0 else None
 
     def p_value(self, deviance: float, dof: int | None) -> float | None:
-        """Probability of so large a deviance at its minimum, or its upper bound.
+        """Probability of so large a deviance, or its upper bound.
 
         With the degrees of freedom of `testable`; None where it has none.
         """
         return None if dof is None else float(chdtrc(dof, deviance - self.perfect))
 
     def accepts(self, theta: np.ndarray, deviance: float, most: float = np.inf) -> bool:
-        """Whether the data fit at a minimum: by p, or by a deviance of `most`."""
+        """Whether the data fit at a minimum.
+
+        By p, or where none is known by a deviance of `most` at the most.
+        """
         p = self.p_value(deviance, self.testable(theta)) if np.isfinite(deviance) else 0.0
         return deviance <= most if p is None else p >= IMPROBABLE
 
     @property
     def perfect(self) -> float:
-        """Deviance of data that the model meets: 0, but for counts with an error, since another might have been counted."""
+        """Deviance of data that the model meets: 0, but for counts.
+
+        Of a count with an error another might have been counted.
+        """
         return 2 * float(self._least.sum())
 
     @property
@@ -309,7 +325,10 @@ class Problem:
 
     @property
     def known(self) -> int:
-        """Number of values with an error, the priors among them: not of counts and fronts without arrest."""
+        """Number of values with an error, the priors among them.
+
+        Not of counts and fronts without arrest.
+        """
         return self.count - int((self.lengths.kind != "length").sum())
 
     def __call__(self, theta: Float[np.ndarray, "B p"], lane: np.ndarray | None = None, order: int = 0) -> Evaluation:
@@ -354,9 +373,9 @@ class Problem:
     def _predictions(
         self, data: Observations, theta: np.ndarray, order: int
     ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
-        """Predict every datum, (B, n), with derivatives in θ, (B, n, p) and (B, n, p, p).
+        """Predict every datum, (B, n), with derivatives in θ.
 
-        Those in θ that are held are 0; those above `order` None.
+        Of shapes (B, n, p) and (B, n, p, p). Those in θ that are held are 0; those above `order` None.
         """
         p, free = self.p, np.arange(self.p) if self.held is None else np.flatnonzero(~self.held)
         if not order or not len(free):
@@ -377,7 +396,10 @@ class Problem:
         return mu, first, second
 
     def _along(self, data: Observations, theta: np.ndarray, directions: np.ndarray | None) -> tuple[np.ndarray, ...]:
-        """μ of every datum, (B, n); and its first and second derivative along D directions in θ, (D, B, n)."""
+        """μ of every datum, (B, n), and derivatives along D directions.
+
+        The first and second along directions in θ, (D, B, n).
+        """
         inputs, names = data.inputs.at(theta), data.inputs.names
         lanes, distinct = inputs.poisson.shape
         scale, offset = np.exp(data.scale(theta)), data.offset(theta)
@@ -399,7 +421,7 @@ class Problem:
 
     @property
     def plain(self) -> bool:
-        """Whether the deviance is a sum of squares: values with known Gaussian errors."""
+        """Whether the deviance is a sum of squares of Gaussian values."""
         return self.exact_values and self.loss == "normal"
 
     @property
@@ -417,7 +439,7 @@ class Problem:
         return f" ({parts.sum():.3g} of it from the fitted {listed([*pulled])})" if f"{parts.sum():.2f}" != "0.00" else ""
 
     def tested(self, p_value: float | None, dof: int | None) -> str:
-        """State degrees of freedom and probability: `` for 5 degrees of freedom (p = 0.82)``.
+        """State ``for 5 degrees of freedom (p = 0.82)``.
 
         The probability alone where `testable` gives a bound on it.
         """
@@ -429,18 +451,21 @@ class Problem:
 
     @property
     def only_counts(self) -> bool:
-        """Whether all data are counts or fronts without arrest, without errors, and one parameter without a prior is fitted."""
+        """Whether one parameter is fitted to counts alone.
+
+        Or to fronts without arrest, all without errors, and without a prior.
+        """
         data, *others = self.observed
         exact = not (data.kind == "length").any() and not data.sigma.any()
         return self.p == 1 and not others and exact and not self.prior_weight.any()
 
     @property
     def gauged(self) -> bool:
-        """Whether gauges were read, whose fields change in steps from contact to contact."""
+        """Whether gauges were read, whose fields step from contact to contact."""
         return any(data.observable in READINGS for data in self.observed)
 
     def predictions(self, theta: np.ndarray) -> np.ndarray:
-        """Predictions for the data of all observables, one after another; shape (B, N)."""
+        """Predictions for the data of all observables in turn; (B, N)."""
         at_once = max(1, ELEMENTS // max(len(data.rows) for data in self.observed))
         parts = [theta[start : start + at_once] for start in range(0, max(len(theta), 1), at_once)]
         return np.concatenate(
@@ -448,19 +473,25 @@ class Problem:
         )
 
     def residuals(self, theta: np.ndarray) -> np.ndarray:
-        """Residuals in σ, priors last, of a `plain` problem; shape (B, N + p)."""
+        """Residuals of a `plain` problem in σ, priors last.
+
+        Shape (B, N + p).
+        """
         value = np.concatenate([data.value[0] for data in self.observed])
         sigma = np.concatenate([data.sigma for data in self.observed])
         known = np.sqrt(self.prior_weight) * (theta - self.prior_mean[0])
         return np.concatenate([(self.predictions(theta) - value) / sigma, known], axis=1)
 
     def predict(self, theta: np.ndarray, observable: str = "length") -> np.ndarray:
-        """Predictions for the data of one observable, shape (B, n), in λc, m or N/m."""
+        """Predictions for one observable, (B, n), in λc, m or N/m."""
         (data,) = (one for one in self.observed if one.observable == observable)
         return self._predictions(data, np.atleast_2d(theta), 0)[0]
 
     def information(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Fisher information at one θ, shape (p, p), and the scaled Jacobian that makes it up, (n + priors, p)."""
+        """Fisher information at one θ, (p, p), and the Jacobian behind it.
+
+        Scaled, shape (n + priors, p).
+        """
         theta = np.atleast_2d(theta)
         rows = []
         for data in self.observed:
@@ -473,7 +504,7 @@ class Problem:
         return jacobian.T @ jacobian, jacobian
 
     def widened(self, off: np.ndarray) -> "Problem":
-        """Add an error of every length, (n,) in λc, to its σ in quadrature."""
+        """Add an error of every length, in λc, in quadrature."""
         lengths = self.lengths._replace(sigma=np.hypot(self.lengths.sigma, off))
         return dataclasses.replace(self, observed=(lengths, *self.observed[1:]))
 
@@ -487,14 +518,17 @@ class Problem:
         return dataclasses.replace(self, observed=(scaled(self.lengths), *kept))
 
     def blurred(self, width: float) -> "Problem":
-        """The problem with σ of counts and fronts without arrest at least so large, in λc; itself if they are already."""
+        """Blur counts and limits by at least `width` λc; itself if blurred."""
         data = self.lengths
         sharp = (data.kind != "length") & (data.sigma < width)
         blunt = data._replace(sigma=np.where(sharp, width, data.sigma))
         return dataclasses.replace(self, observed=(blunt, *self.observed[1:])) if sharp.any() else self
 
     def with_replicates(self, values: dict[str, np.ndarray], weights: dict[str, np.ndarray], means: np.ndarray) -> "Problem":
-        """The problem with R other sets of numbers measured: by observable, shape (R, n), and means of priors, (R, p)."""
+        """Replace the data by R other sets.
+
+        By observable, shape (R, n), and means of priors, (R, p).
+        """
         observed = tuple(
             data._replace(value=values[data.observable], weight=weights[data.observable]) for data in self.observed
         )
@@ -537,13 +571,16 @@ def _log_likelihood(theta: Array, problem: Problem, data: Observations) -> Array
 
 
 def _sites(problem: Problem, data: Observations) -> int:
-    """Number of contacts whose fields are traced: eight times what gauges and counts need in the middle of the range."""
+    """Number of contacts whose fields are traced.
+
+    Eight times what gauges and counts need in the middle of the range.
+    """
     middle = data.inputs.at((problem.parameters.low + problem.parameters.high) / 2)
     return 64 + 8 * int(max(np.exp(middle.get("log_position")).max(), middle.get("counted").max()))
 
 
 def make_problem(m: Measurements, parameters: ParameterSet, loss: Loss, sigma: np.ndarray) -> Problem:
-    """Set up the log density of these measurements; `sigma` is the standard error of each length, in λc."""
+    """Set up the density of measurements; `sigma` of lengths, in λc."""
     every = np.arange(len(m))
     observed = [_observations(parameters, "length", every, m.length, sigma, parameters.inputs, np.array(m.kind))]
     for observable in ("displacement", "force"):
@@ -575,7 +612,7 @@ def _observations(
     inputs: Inputs,
     kind: np.ndarray | None = None,
 ) -> Observations:
-    """Collect the data of one observable, with each distinct input of the model once."""
+    """Collect the data of one observable, with each distinct input once."""
     n = len(rows)
     given = [inputs.get(name) for name in inputs.names]
     key = np.concatenate([np.column_stack([one.base, one.slope]) for one in given], axis=1)

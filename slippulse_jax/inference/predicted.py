@@ -1,4 +1,4 @@
-"""Curves of a fit: predicted lengths at heights that were not measured, and fields along the interface."""
+"""Curves of a fit: lengths over heights, fields along the interface."""
 
 import dataclasses
 import functools
@@ -25,7 +25,7 @@ NODES = 25
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class LengthCurve:
-    """Predicted lengths at n heights, as they would be measured; in λc of the table.
+    """Predicted lengths at n heights, as measured, in λc.
 
     Every number is computed when it is first asked for.
     """
@@ -38,25 +38,28 @@ class LengthCurve:
 
     @functools.cached_property
     def length(self) -> np.ndarray:
-        """Predicted lengths, shape (n,) or (t, n); 0 where no domino starts, inf where nothing stops."""
+        """Predicted lengths, shape (n,) or (t, n).
+
+        0 where no domino starts, inf where nothing stops.
+        """
         return self._lengths(self.theta)
 
     @functools.cached_property
     def breaks_again(self) -> np.ndarray:
-        """Whether the edge contact breaks again before the front stops, which the model of a front leaves out."""
+        """Whether the edge contact breaks again before the front stops."""
         inputs = self.inputs.at(self.theta)
         return self.result.parameters.front.breaks_again(inputs.ravel()).reshape(inputs.poisson.shape)
 
     @functools.cached_property
     def longest(self) -> np.ndarray:
-        """Longest length at any stiffness searched, all else as in the best fit; shape (n,)."""
+        """Longest length at any stiffness searched, else as fitted; (n,)."""
         theta = self.result.theta
         longest, _ = attainable_of(self.result.parameters, theta, self.inputs)
         return longest * np.exp(self.scale(theta)) + self.offset(theta)
 
     @functools.cached_property
     def bands(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Lower and upper ends of the 95 % band of the best fit, shape (n,) each.
+        """Ends of the 95 % band of the best fit, (n,).
 
         One band for each piece of the interval where one parameter is fitted; of several, one by propagation of their
         errors, or none where their covariance is singular.
@@ -122,14 +125,14 @@ def curve(
 
 
 def abscissa(result: "FitResult") -> Along:
-    """What the lengths are drawn against: the height of the block, or of the push where that leaves fewer curves."""
+    """What leaves fewer curves to draw: height of block or push."""
     if result.measurements.push_height is None or result.parameters.front.body != "block":
         return "height"
     return min(INPUTS, key=lambda along: len(alike(result, result.theta, along)))
 
 
 def on_one_curve(result: "FitResult", along: Along) -> list[np.ndarray]:
-    """Group the measurements that lie on one curve, in the order of the table.
+    """Group the measurements that lie on one curve, in order.
 
     They are equal but for what is drawn along. Inputs with an error are those fitted where every curve then has two heights,
     else those stated.
@@ -143,7 +146,10 @@ def on_one_curve(result: "FitResult", along: Along) -> list[np.ndarray]:
 
 
 def alike(result: "FitResult", theta: np.ndarray, apart_from: Along | None = None) -> list[np.ndarray]:
-    """Group the measurements whose inputs at θ are equal, apart from a height, in the order of the table."""
+    """Group measurements of equal inputs at θ, apart from a height.
+
+    In the order of the table.
+    """
     inputs, contact = result.parameters.inputs_at(theta), result.measurements.correlation_length
     same = [inputs.get(name) for name in inputs.names if apart_from is None or name != INPUTS[apart_from]]
     keys = np.column_stack([np.round(same, 9).T, np.zeros_like(inputs.poisson) if contact is None else contact])

@@ -1,4 +1,4 @@
-"""Records of a fit for JSON, written and read by their type hints, and the request that repeats it."""
+"""Records of a fit for JSON, by their type hints, and requests."""
 
 import dataclasses
 import enum
@@ -46,7 +46,10 @@ LONGEST, DEEPEST = 2000, 64
 
 
 def encode(x: Any) -> Any:
-    """Convert a record to plain values; what is not finite becomes None, what is absent is left out."""
+    """Convert a record to plain values.
+
+    What is not finite becomes None, what is absent is left out.
+    """
     if isinstance(x, enum.Enum):
         return x.name.lower()
     if dataclasses.is_dataclass(x) or hasattr(x, "_fields"):
@@ -154,7 +157,7 @@ def suspicions(m: Measurements, wanted: Sequence[Parameter]) -> tuple[str, ...]:
 
 
 def of_dict(kind: type[Record], content: dict[str, Any]) -> tuple[Record, dict[str, Any]]:
-    """Restore a fit from what `to_dict` made of it, and its `changes` and `next_steps`.
+    """Restore a fit, and its `changes` and `next_steps`, from `to_dict`.
 
     `kind` is `FitResult`. Of these two what the record has. A ValueError if this version has no model for it.
     """
@@ -210,7 +213,10 @@ def _of_version_1(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def read_record(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read the JSON of a fit; a ValueError if it is none, or of another schema, an OSError if it cannot be opened."""
+    """Read the JSON of a fit.
+
+    A ValueError if it is none, or of another schema, an OSError if it cannot be opened.
+    """
     name, content = os.fspath(path), read_request_file(path)
     if not isinstance(content, dict) or content.get("schema") not in (1, SCHEMA):
         raise ValueError(
@@ -247,7 +253,10 @@ def to_dataframe(result: "FitResult") -> "pd.DataFrame":
 
 
 def data_hash(m: Measurements) -> str:
-    """Hash (SHA-256) what entered the fit, specimens and provenance included, to match a result to its data."""
+    """Hash (SHA-256) what entered the fit.
+
+    Specimens and provenance included, to match a result to its data.
+    """
     digest = hashlib.sha256()
     for table, names in ((m, NUMERIC), (m.gauges, GAUGE_COLUMNS)):
         for name in names if table is not None else ():
@@ -270,7 +279,7 @@ def versions() -> dict[str, str]:
 
 
 def as_request(request: dict[str, Any]) -> dict[str, Any]:
-    """Convert the arguments of a fit to the form of a request file."""
+    """Convert the arguments of a fit to a request file's form."""
     settable = dataclasses.fields(Parameter)[1:]  # after its name
     free = {
         one.name: {field.name: x for field in settable if (x := getattr(one, field.name)) is not field.default}
@@ -281,7 +290,7 @@ def as_request(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def from_request(request: dict[str, Any]) -> dict[str, Any]:
-    """Convert a request to the arguments of `fit`; a ValueError names what is not understood."""
+    """Convert a request to arguments of `fit`; a ValueError names mistakes."""
     request = dict(request)
     parameters = request.pop("parameters", {"stiffness": {}})
     unknown = set(request) - {*SETTINGS}
@@ -303,7 +312,7 @@ def from_request(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def read_request(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read a request from a TOML file, or from the JSON that an earlier fit printed.
+    """Read a request from TOML, or the JSON of a fit.
 
     A ValueError if it is neither, an OSError if it cannot be opened.
     """
@@ -316,7 +325,7 @@ def read_request(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def read_request_file(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read a TOML or JSON file; a ValueError if it is neither, or larger than `LARGEST`."""
+    """Read a TOML or JSON file; a ValueError otherwise."""
     name = os.fspath(path)
     try:
         text = read_whole(path, LARGEST).decode("utf-8-sig")

@@ -72,7 +72,7 @@ which the error is given as an interval."""
 
 
 def report(result: "FitResult", *, verbose: bool = False) -> str:
-    """Format a fit: the result in a box, what else would move it, the data, remarks.
+    """Format a fit: a box, what would move it, data, remarks.
 
     `verbose` adds the model, the range searched, all intervals, fitted inputs, correlations, the regime, and contacts broken.
     """
@@ -144,12 +144,12 @@ def _held(result: "FitResult") -> list[str]:
 
 
 def _beside(result: "FitResult") -> list[Free]:
-    """Inputs, offset and model factor that are fitted only because of their errors."""
+    """Inputs and the like, fitted only because of their errors."""
     return [one for one in result.parameters.free if one.nuisance and one.name != "arrest"]
 
 
 def _alone(result: "FitResult") -> str:
-    """State what the errors without those of inputs taken as exact come from."""
+    """State what the errors without those of inputs come from."""
     beside = {one.name for one in _beside(result)}
     other = sorted({"readings" if one.observable in READINGS else one.observable for one in result.further})
     other += ["priors"] * any(math.isfinite(one.prior_sigma) for one in result.parameters.free if not one.nuisance)
@@ -161,7 +161,10 @@ def _alone(result: "FitResult") -> str:
 
 
 class Shown(NamedTuple):
-    """A fitted parameter, or k/K that follows from one, as it is written: in the unit of the table."""
+    """A fitted parameter as written, in the unit of the table.
+
+    Or k/K that follows from one.
+    """
 
     symbol: str
     unit: str
@@ -173,13 +176,13 @@ class Shown(NamedTuple):
     sides: np.ndarray  # distances of the ends of its 68 % interval from it, over its error; inf where it lacks either
 
     def in_words(self, result: "FitResult") -> str:
-        """``k/λc² = (1.96 ± 0.17)e10 Pa/m; (1.956 ± 0.032)e10 from the lengths alone``."""
+        """Write ``k/λc² = (1.96 ± 0.17)e10 Pa/m`` and the error alone."""
         alone = f"; {self.own} {_alone(result)}" if self.whole else ""
         return f"{self.symbol} = {self.whole or self.own} {self.unit}".rstrip() + alone
 
 
 def _with_totals(result: "FitResult") -> dict[str, Shown]:
-    """Show every parameter, with the errors of inputs taken as exact, if any are."""
+    """Show every parameter, with usual errors of inputs, if any."""
     return _shown(result, result.totals if of_inputs(result.changes) else {})
 
 
@@ -210,7 +213,10 @@ def _shown(result: "FitResult", totals: Mapping[str, tuple[float | None, Interva
 
 
 def _symbols(result: "FitResult") -> dict[str, str]:
-    """Short name of each parameter, by label: ``E (block A)`` for ``young[block A, 3e+09]`` where that is unambiguous."""
+    """Short name of each parameter, by label.
+
+    ``E (block A)`` for ``young[block A, 3e+09]`` where that is unambiguous.
+    """
     long = {one.label: one.symbol + "".join(one.label.partition("[")[1:]) for one in result.parameters.free}
     short = dict(long)
     for one in (one for one in result.parameters.free if one.nuisance):
@@ -220,7 +226,10 @@ def _symbols(result: "FitResult") -> dict[str, str]:
 
 
 def _unit_and_prior(m: Measurements, one: Free | None) -> tuple[float, str, str]:
-    """Factor, unit and prior of a parameter: in the unit of the table for heights and an offset; none for k/K beside."""
+    """Factor, unit and prior of a parameter; none for k/K.
+
+    In the unit of the table for heights and an offset.
+    """
     if one is None:
         return 1.0, "", ""
     size, unit, mean = 1.0, one.unit, one.value(one.prior_mean)
@@ -232,7 +241,7 @@ def _unit_and_prior(m: Measurements, one: Free | None) -> tuple[float, str, str]
 
 
 def _sides(value: float, error: float | None, piece: Interval | None) -> np.ndarray:
-    """Distances of the ends of an interval from the value, over the standard error; infinite without either."""
+    """Sides of an interval over the standard error; infinite without."""
     ends_of = (math.inf, math.inf) if error is None or piece is None else (value - piece.low, piece.high - value)
     return np.array(ends_of) / (error or 1.0)
 
@@ -240,7 +249,10 @@ def _sides(value: float, error: float | None, piece: Interval | None) -> np.ndar
 def _with_error(
     result: "FitResult", name: str, value: float, size: float, error: float | None, piece: Interval | None, *, uneven: bool
 ) -> str:
-    """``1.2 ± 0.3``; ``1.2 -0.2 +0.5`` by an uneven 68 % interval; the value alone, or none, where the verdict says so."""
+    """Write ``1.2 ± 0.3``, or ``1.2 -0.2 +0.5`` by an uneven interval.
+
+    The value alone, or none, where the verdict says so.
+    """
     judged = result.verdicts.get(name)
     verdict = judged.identifiability if judged else result.identifiability
     if uneven and piece is not None and piece.encloses(value) and verdict in GIVEN:
@@ -254,7 +266,7 @@ def _with_error(
 
 
 def html_of(result: "FitResult") -> str:
-    """Format the result as a table for a notebook: values with errors and intervals, the verdict, the data."""
+    """Format values, intervals and verdict as a table for a notebook."""
     shown, m = _with_totals(result), result.measurements
     rows = [
         (one.symbol, one.whole or one.own, one.own, *(one.intervals.get(level, "") for level in LEVELS), one.unit)
@@ -269,7 +281,7 @@ def html_of(result: "FitResult") -> str:
 
 
 def _sentences(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
-    """State the verdict, what to check first, and the body that the result holds for, a paragraph each."""
+    """State verdict, what to check first, and the body, in paragraphs."""
     verdict = [*_verdicts(result, shown), _quality(result)]
     mistakes = [f"check first: {mistake}" for mistake in result.suspicions]
     paragraphs = verdict, mistakes, _holds_for(result)
@@ -277,7 +289,7 @@ def _sentences(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
 
 
 def _sentence(text: str) -> str:
-    """Begin with a capital letter, unless with a symbol, and end with a full stop."""
+    """Begin with a capital unless with a symbol; end with a stop."""
     begun = (text[0].upper() if text[:2].strip().isalpha() else text[0]) + text[1:].rstrip(".")
     return begun + "." * (not begun.endswith("?"))
 
@@ -288,7 +300,7 @@ def _folded(text: str, width: int) -> list[str]:
 
 
 def _values(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
-    """Tabulate values with their errors, with those of inputs taken as exact and without; ratios of specimens too."""
+    """Tabulate values and ratios of specimens, with both errors."""
     rows = [["", "with usual errors of inputs", _alone(result), "95 % interval" + " (simulated)" * result.calibrated]]
     for one in (shown[name] for name in result.names):
         symbol = one.symbol + f" ({one.unit})" * bool(one.unit)
@@ -305,7 +317,10 @@ def _values(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
 
 
 def _verdicts(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
-    """State the verdicts in words: one where all parameters share it, else each with the parameters that it is on."""
+    """State the verdicts in words, each with its parameters.
+
+    Without them where all share one.
+    """
     found = result.verdicts
     kinds = sorted({one.identifiability for one in found.values()}, key=GRAVITY.index)
     for kind in kinds:
@@ -316,7 +331,7 @@ def _verdicts(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
 
 
 def _holds_for(result: "FitResult") -> Iterator[str]:
-    """State the kind of body that the result holds for, and what was guessed or held."""
+    """State the body that the result holds for, guesses and held values."""
     q, m = result.parameters, result.measurements
     scale, unit = m.unit
     longest = format_number(float(f"{4 * np.max(result.regime.slow_decay_length * scale):.2g}"))
@@ -356,7 +371,7 @@ def _holds_for(result: "FitResult") -> Iterator[str]:
 
 
 def _quality(result: "FitResult") -> str:
-    """State what was fitted, how well, and the size of the errors that was used."""
+    """State what was fitted, how well, and the errors used."""
     m, problem, degrees = result.measurements, result.problem, plural(result.dof, "degree")
     specimens = len(set(m.specimen))
     data = f"from {_data(result)} of {Path(m.source).name}" + f" on {specimens} specimens" * (specimens > 1)
@@ -382,7 +397,7 @@ def _quality(result: "FitResult") -> str:
 
 
 def title(result: "FitResult", width: int) -> list[str]:
-    """Quote the box for a picture, with the constants of the material; in lines."""
+    """Quote the box for a picture, in lines, with the constants."""
     shown, free = _with_totals(result), result.parameters
     names = [name for name in result.names if not (free.named(name).name in CONSTANTS and shown[name].prior)] or result.names
     names = [name for name in names if name in result.given]
@@ -425,7 +440,7 @@ def _aligned(rows: list[list[str]], justify: Callable[[str, int], str], indent: 
 
 
 def _roots(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
-    """Tabulate the points that fit, where there are several, with their own errors."""
+    """Tabulate the points that fit, if several, with their own errors."""
     if not result.points:
         return []
     rows = [[*(shown[name].symbol for name in result.roots[0].values), "chi-squared" if result.problem.plain else "deviance"]]
@@ -447,7 +462,10 @@ def _roots(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
 
 
 def _bounds(result: "FitResult") -> tuple[float, float] | None:
-    """Round bounds of the one stiffness fitted that hold the first root and no other; None where none do."""
+    """Round bounds of a stiffness that hold only the first root.
+
+    None where none do.
+    """
     stiff = [name for name in result.names if result.parameters.named(name).name in STIFFNESSES]
     if len(stiff) != 1:
         return None
@@ -488,14 +506,14 @@ def _moving(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
 
 
 def _cells(result: "FitResult", shown: dict[str, Shown], change: Change, name: str) -> Iterator[str]:
-    """Each move of a change; with a remark where more than one value would fit, of which it is the first."""
+    """Each move of a change, remarked on where several fit."""
     for i, by in enumerate(change.moves.get(name, ())):
         several = i < len(change.several) and change.several[i] and not math.isnan(by)
         yield _move(result, shown, change, name, by) + " (one of several)" * several
 
 
 def _move(result: "FitResult", shown: dict[str, Shown], change: Change, name: str, by: float) -> str:
-    """How far a change moves a parameter: ``+5.0 %``, ``× 5.7``, ``-0.12 mm`` or ``none fits``."""
+    """Write a move: ``+5.0 %``, ``× 5.7``, ``-0.12 mm`` or ``none fits``."""
     if math.isnan(by):
         return change.otherwise
     if not result.parameters.named(name).log:
@@ -508,7 +526,7 @@ def _move(result: "FitResult", shown: dict[str, Shown], change: Change, name: st
 
 
 def _table(result: "FitResult") -> list[str]:
-    """Tabulate the lengths: where, height, measured with the σ used, fitted, and how far that is off."""
+    """Tabulate the lengths: measured with the σ used, fitted, misfit."""
     m, (scale, unit), (counted, numbers) = result.measurements, result.measurements.unit, result.measurements.numbered
     known = result.identifiability is not Identifiability.NO_SCATTER  # whether σ has a size
     several, push = len(set(m.specimen)) > 1, m.push_height if result.parameters.front.body == "block" else None
@@ -537,7 +555,7 @@ def _table(result: "FitResult") -> list[str]:
 
 
 def _further(result: "FitResult") -> list[str]:
-    """Summarise the data other than lengths: how many, how well they are fitted, and the worst."""
+    """Summarise the data other than lengths: number, fit, and the worst."""
     rows = ["Other data"] * bool(result.further)
     for one in result.further:
         off, worst = one.residuals, int(np.argmax(np.abs(one.residuals)))
@@ -599,7 +617,7 @@ def _ratios(result: "FitResult") -> str:
 
 
 def _inputs(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
-    """Fitted values of inputs with an error of their own, and their pulls."""
+    """Fitted values of inputs with errors, and their pulls."""
     priors = [(one.name, one.prior_mean, one.prior_sigma) for one in _beside(result)]
     each = ", inputs separately for each specimen" * (len(set(priors)) < len(priors))
     rows = [f"  also fitted, within their errors{each}:"] * bool(result.inputs)
@@ -611,7 +629,7 @@ def _inputs(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
 
 
 def _regime(result: "FitResult") -> str:
-    """State b and where contacts break again, and the slow decay length next to the length of the block."""
+    """State b, the slow decay length, and where contacts break again."""
     at, front, (scale, unit) = result.regime, result.parameters.front, result.measurements.unit
     decay, shortest = ends(at.slow_decay_length * scale), ends(4 * (at.slow_decay_length * scale))
     if front.body == "block":
@@ -630,7 +648,7 @@ def _regime(result: "FitResult") -> str:
 
 
 def notes(result: "FitResult") -> list[str]:
-    """Remarks to read before using the numbers, most of them about the data."""
+    """Remarks to read before using the numbers, most about the data."""
     shown = _shown(result, {})
     first = *_of_data(result, shown), *_of_sigma(result), *_of_pulls(result, shown), *_of_shape(result, shown)
     return [*first, *result.suspicions, *_of_attainable(result), *_of_model(result)]
@@ -691,7 +709,7 @@ def _of_sigma(result: "FitResult") -> Iterator[str]:
 
 
 def _of_pulls(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
-    """Name the inputs that the lengths pull farther from their stated values than chance would.
+    """Name the inputs that the lengths pull farther than chance would.
 
     The difference between fitted and stated value scatters by √(σ² − s²), with the stated error σ and that of the fit, s.
     """
@@ -719,7 +737,7 @@ def _of_pulls(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
 
 
 def _of_shape(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
-    """Name the parameters whose 68 % interval differs from value ± standard error."""
+    """Name parameters whose 68 % interval differs from ± the error."""
     for name in result.names:
         this, by = shown[name], shown[name].sides
         if this.prior or math.inf in by or np.abs(by - 1).max() <= UNEVEN:
@@ -763,7 +781,10 @@ def _of_attainable(result: "FitResult") -> Iterator[str]:
 
 
 def _of_model(result: "FitResult") -> Iterator[str]:
-    """Say where the search, the definition of a length, the edge contact or the end of a block leave a result uncertain."""
+    """Say where the model leaves a result uncertain.
+
+    Its search, the definition of a length, the edge contact, or the end of a block.
+    """
     m, front = result.measurements, result.parameters.front
     if front.event == "domino" and result.fitted.max() >= MOST_CONTACTS:
         yield f"an end of the block and a machine were not tried: fronts of more than {MOST_CONTACTS:g} contacts take long"

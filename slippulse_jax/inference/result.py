@@ -1,4 +1,4 @@
-"""Result of a fit: values, errors, intervals and verdicts, and what else would move them."""
+"""Result of a fit, with its errors, verdicts and report."""
 
 import dataclasses
 import functools
@@ -24,7 +24,7 @@ from slippulse_jax.inference.verdict import GIVEN, GRAVITY, Identifiability, Ver
 
 
 class Further(NamedTuple):
-    """One further observable at the best fit, one entry per datum; in SI."""
+    """One further observable at the best fit, per datum; in SI."""
 
     observable: str
     value: np.ndarray
@@ -83,7 +83,7 @@ class FitResult:
 
     @property
     def names(self) -> list[str]:
-        """Requested parameters, by label; inputs fitted only because of their errors are in `inputs`."""
+        """Requested parameters, by label; those beside them are in `inputs`."""
         return list(self.verdicts)
 
     @property
@@ -93,13 +93,16 @@ class FitResult:
 
     @property
     def moved(self) -> list[str]:
-        """Those with a value, or with several of which the first stands for all, that an input can move."""
+        """Parameters that an input can move.
+
+        With a value, or with several of which the first stands for all.
+        """
         several = Identifiability.SEVERAL_ROOTS if self.points else None
         return [name for name, verdict in self.verdicts.items() if verdict.identifiability in (*GIVEN, several)]
 
     @property
     def points(self) -> bool:
-        """Whether what fits are several points, not ranges of values that fit equally."""
+        """Whether several points fit, not ranges of values."""
         return len(self.roots) > 1 and any(error is not None for root in self.roots for error in root.stderrs.values())
 
     @property
@@ -113,12 +116,12 @@ class FitResult:
 
     @property
     def rejected(self) -> bool:
-        """Whether model and σ do not describe the data, or the lengths are too long."""
+        """Whether the data reject the model, or lengths exceed its maximum."""
         return self.identifiability in (Identifiability.POOR_FIT, Identifiability.AT_MAXIMUM)
 
     @property
     def reason(self) -> str:
-        """Why there is no plain standard error; empty where there is one for every parameter."""
+        """Why there is no plain standard error; empty if there is."""
         name, (_, reason) = self._gravest
         return f"{name}: {reason}" if reason and len(self.verdicts) > 1 else reason
 
@@ -129,7 +132,7 @@ class FitResult:
 
     @property
     def values(self) -> dict[str, float]:
-        """Values of highest likelihood; k/K too where it is one number for all measurements."""
+        """Values of highest likelihood; k/K too where it is one number."""
         values, ratio = self.parameters.values(self.theta), self.parameters.common_ratio(self.theta)
         if ratio is not None:
             values.setdefault("stiffness", ratio)
@@ -141,7 +144,10 @@ class FitResult:
         return self.parameters.values(self.theta, nuisance=True)
 
     def rise(self, level: float, parameters: int = 1) -> float:
-        """Rise of the deviance at the ends of an interval at this level; for regions of several parameters too."""
+        """Rise of the deviance at the ends of an interval.
+
+        For regions of several parameters too.
+        """
         return rise_of(level, parameters, self.scatter_dof)
 
     @functools.cached_property
@@ -150,7 +156,7 @@ class FitResult:
 
     @property
     def covariance(self) -> np.ndarray | None:
-        """Covariance of all θ, (p, p), from the Fisher information at the best fit; None where that is singular."""
+        """Covariance of all θ, (p, p); None where the information is singular."""
         return None if self._at_best.singular.any() else self._at_best.covariance
 
     @property
@@ -160,7 +166,7 @@ class FitResult:
 
     @property
     def sigma(self) -> np.ndarray:
-        """Standard error of each length that the fit used, in λc; shape (n,).
+        """Standard error of each length that was used, in λc; (n,).
 
         As stated, or scaled to the scatter; with `between_contacts` added in quadrature. 0 for counts without an error.
         """
@@ -168,7 +174,7 @@ class FitResult:
 
     @property
     def stderrs(self) -> dict[str, float | None]:
-        """Standard error of each of `values`, from the Fisher information; None where `verdicts` say why."""
+        """Standard errors by Fisher information; None where `verdicts` say why."""
         q, sound, values = self.parameters, Identifiability.IDENTIFIED, self.values
         covariance, singular = self._at_best.covariance, self._at_best.singular
         found: dict[str, float | None] = dict.fromkeys(values)
@@ -186,7 +192,7 @@ class FitResult:
 
     @property
     def correlations(self) -> dict[tuple[str, str], float]:
-        """Correlations between fitted parameters (of their θ); empty where the information is singular."""
+        """Correlations between fitted θ; empty where the information is singular."""
         if self.covariance is None:
             return {}
         error = np.sqrt(np.diag(self.covariance))
@@ -195,7 +201,7 @@ class FitResult:
 
     @property
     def stiffness_ratios(self) -> dict[tuple[str, str], tuple[float, float | None]]:
-        """Stiffness of one specimen over that of another, with its standard error, by the labels of both.
+        """Ratios of the stiffnesses of specimens, with standard errors, by labels.
 
         Errors that both share cancel. The error is None where one of the two has none.
         """
@@ -214,14 +220,14 @@ class FitResult:
 
     @functools.cached_property
     def fitted(self) -> np.ndarray:
-        """Lengths of the best fit as they would be measured, with the fitted model factor and offset, in stated λc; (n,)."""
+        """Fitted lengths with model factor and offset, in stated λc; (n,)."""
         return self.problem.predict(self.theta)[0]
 
     @functools.cached_property
     def contacts_broken(self) -> np.ndarray:
-        """Whole contacts that each front breaks, without model factor and offset, which belong to the measurement.
+        """Whole contacts that each front breaks.
 
-        −1 where it never stops; shape (n,).
+        Without model factor and offset, which belong to the measurement. −1 where it never stops; shape (n,).
         """
         front = self.parameters.front.lengths(self.parameters.inputs_at(self.theta))
         stops = np.isfinite(front)
@@ -234,14 +240,17 @@ class FitResult:
 
     @functools.cached_property
     def regime(self) -> Regime:
-        """Find b and 1/κ_2 of each measurement at the best fit; lengths in λc of the table, where λc is fitted too."""
+        """Find b and 1/κ_2 of each measurement at the best fit.
+
+        Lengths in λc of the table, where λc is fitted too.
+        """
         q = self.parameters
         found, contact = q.front.regime(q.inputs_at(self.theta)), np.exp(q.scales["position"](self.theta))
         return found._replace(slow_decay_length=found.slow_decay_length * contact)
 
     @property
     def block_length_over_height(self) -> np.ndarray | None:
-        """L/H of each measurement, NaN for a block without end; None where no length is stated."""
+        """L/H of each measurement, NaN without end; None if not stated."""
         m = self.measurements
         return None if m.block_length is None else m.block_length / m.height
 
@@ -264,17 +273,20 @@ class FitResult:
 
     @property
     def p_value(self) -> float | None:
-        """Probability of so large a misfit if model and σ are right, or its upper bound; None where none is known."""
+        """Probability of so large a misfit, or its bound; None if unknown."""
         return self.problem.p_value(self.deviance, self.testable_dof)
 
     @property
     def misfit(self) -> float:
-        """Deviance beyond that of data which the model meets: χ² for plain lengths."""
+        """Deviance beyond that of a perfect match: χ² for plain lengths."""
         return self.deviance - self.problem.perfect
 
     @property
     def residuals(self) -> np.ndarray:
-        """(fitted − measured)/σ of the lengths, shape (n,); for counts and fronts without arrest what lies outside, else 0."""
+        """(fitted − measured)/σ of the lengths, shape (n,).
+
+        For counts and fronts without arrest what lies outside, else 0.
+        """
         m = self.measurements
         off = self.fitted - m.length
         kind = np.array(m.kind)
@@ -303,7 +315,7 @@ class FitResult:
 
     @functools.cached_property
     def totals(self) -> dict[str, tuple[float | None, Interval | None]]:
-        """Standard error and 68 % interval of each parameter, with usual errors of inputs.
+        """Total standard error and 68 % interval of each parameter.
 
         Those of the inputs taken as exact (`changes`); None where there is none.
         """
@@ -312,17 +324,17 @@ class FitResult:
 
     @functools.cached_property
     def totals_of_ratios(self) -> dict[tuple[str, str], float | None]:
-        """Standard errors of `stiffness_ratios`, with usual errors of inputs; None where there is none."""
+        """Total standard errors of `stiffness_ratios`; None where there is none."""
         return {labels: total_of_ratio(self, labels, self.changes) for labels in self.stiffness_ratios}
 
     @property
     def stderrs_with_inputs(self) -> dict[str, float | None]:
-        """Standard errors with usual errors of inputs taken as exact (`changes`); None as in `stderrs`."""
+        """Standard errors with usual errors of inputs; None as in `stderrs`."""
         return {name: error for name, (error, _) in self.totals.items()}
 
     @property
     def errors_with_inputs(self) -> dict[str, tuple[float, float] | None]:
-        """Errors to publish, below and above each value, with usual errors of inputs.
+        """Errors to publish, below and above each value.
 
         The sides of the 68 % interval, each widened by the errors of inputs taken as exact; else the standard error twice. None
         where there is no value.
@@ -337,7 +349,7 @@ class FitResult:
 
     @functools.cached_property
     def directions(self) -> list[dict[str, Any]]:
-        """Combinations of the parameters by how well they are determined: `combination`, `stderr` and `coefficients`."""
+        """`combination`, `stderr`, `coefficients` of combinations, best determined first."""
         return directions(self.problem, self.theta)
 
     def __repr__(self) -> str:
@@ -348,7 +360,7 @@ class FitResult:
         return self.report()
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the result as JSON, as ``slippulse fit --json`` prints it; `load_fit` reads it."""
+        """Write JSON as ``slippulse fit --json`` prints it, for `load_fit`."""
         text = json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
         write_atomically(path, (text + "\n").encode())
 

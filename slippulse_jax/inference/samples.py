@@ -1,4 +1,4 @@
-"""Samples of the fitted parameters: refits of simulated or resampled measurements, or draws from the posterior.
+"""Samples of the fitted parameters: refits, or draws from the posterior.
 
 All refits of a bootstrap are one batch. The posterior is sampled by the No-U-Turn sampler, which needs the extra ``bayes``
 (numpyro and ArviZ). Its density is that of the fit (`slippulse_jax.inference.likelihood.log_density`); a parameter without a
@@ -87,7 +87,9 @@ class Samples:
         return float(low), float(high)
 
     def to_arviz(self) -> Any:
-        """Return the samples as ArviZ takes them: ``az.summary``, ``az.plot_trace``; needs the extra ``bayes``.
+        """Return the samples for ArviZ; needs the extra ``bayes``.
+
+        As ``az.summary`` and ``az.plot_trace`` take them.
 
         Returns
         -------
@@ -112,12 +114,18 @@ class Samples:
 
     @cached_property
     def diagnostics(self) -> "pd.DataFrame":
-        """ArviZ's diagnostics of convergence, one row per parameter; of a posterior of at least two chains."""
+        """ArviZ's diagnostics of convergence, one row per parameter.
+
+        Of a posterior of at least two chains.
+        """
         return _arviz().summary(self.to_arviz(), kind="diagnostics", round_to="none").loc[list(self.names)]
 
     @property
     def converged(self) -> bool:
-        """Of a posterior: R-hat ≤ 1.01, at least 400 effective samples, and no divergence; of refits, whether all converged."""
+        """Whether chains mix, or all refits converged.
+
+        R-hat ≤ 1.01, at least 400 effective samples, and no divergence.
+        """
         if self.kind != "posterior":
             return not self.lost
         table = self.diagnostics
@@ -208,7 +216,7 @@ def bootstrap(result: "FitResult", count: int = 1000, *, kind: Bootstrap = "para
 
 
 def refitted(result: "FitResult", problem: Problem, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """θ, deviance and convergence of the best refit per replicate; converged refits come before others."""
+    """θ, deviance, convergence of the best refit, of converged ones first."""
     starts = np.array([one.theta for one in result.roots[:MOST_STARTS]] or [result.theta])
     q, many = result.parameters, len(starts)
     lane = np.repeat(np.arange(count), many)
@@ -220,7 +228,7 @@ def refitted(result: "FitResult", problem: Problem, count: int) -> tuple[np.ndar
 
 
 def simulated(result: "FitResult", count: int, rng: np.random.Generator) -> Problem:
-    """Draw measurements from the fitted model, and new values of the inputs from their priors."""
+    """Draw measurements from the fit, and inputs from their priors."""
     problem, q = result.problem, result.parameters
     values, weights = {}, {}
     for data in problem.observed:
@@ -290,7 +298,10 @@ def posterior(
     unbounded = unbounded + 1e-3 * np.random.default_rng(seed).standard_normal(unbounded.shape)
 
     def potential(z: Array) -> Array:
-        """−ln posterior over z, θ = low + (high − low)/(1 + e^−z)."""
+        """−ln posterior over z.
+
+        With θ = low + (high − low)/(1 + e^−z).
+        """
         theta = jnp.asarray(low + (high - low) * jax.nn.sigmoid(z))
         return result.problem.traced(theta) - (jax.nn.log_sigmoid(z) + jax.nn.log_sigmoid(-z)).sum()
 
@@ -313,7 +324,7 @@ def posterior(
 
 
 def _arviz() -> Any:
-    """Import ArviZ, which announces its next version, and make sure that there is a sampler too."""
+    """Import ArviZ quietly, and make sure of a sampler."""
     try:
         import numpyro  # noqa: F401  # pyright: ignore[reportMissingImports]
 

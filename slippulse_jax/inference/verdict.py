@@ -1,4 +1,4 @@
-"""Verdicts: whether the data determine each parameter, and if not, why not and what they do determine."""
+"""Verdicts: whether the data determine each parameter, or why not."""
 
 import enum
 import itertools
@@ -26,7 +26,7 @@ PLATEAU = 0.97  # of the longest attainable length, above which a length constra
 
 
 class Identifiability(enum.Enum):
-    """Whether the data determine a parameter; the value is the sentence of the report."""
+    """Whether data determine a parameter; values are sentences of the report."""
 
     IDENTIFIED = "identified"
     SEVERAL_ROOTS = "not identifiable as one number: more than one value fits"
@@ -62,7 +62,7 @@ class Verdict(NamedTuple):
 def judge(
     problem: Problem, found: Found, j: int, profiled: Intervals, reported: Intervals, at_odds: list[int] | None = None
 ) -> tuple[Verdict, Intervals]:
-    """Judge whether parameter j has a value with an error; return its intervals too.
+    """Judge whether parameter j has an error; return its intervals too.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def _above_maximum(problem: Problem, found: Found) -> bool:
 
 
 def _end(problem: Problem, theta: np.ndarray, j: int) -> str:
-    """Name the end of the range at which the best fit lies; empty if at neither."""
+    """Name the end of the range at the best fit, if any."""
     q = problem.parameters
     reach = 1e-6 * (q.high[j] - q.low[j])
     ends = {"lower": q.low[j], "upper": q.high[j]}
@@ -244,7 +244,7 @@ def _breaks_again(problem: Problem, curve: Curve, j: int, pieces: list[Interval]
 
 
 def whole_events(m: Measurements) -> str:
-    """Say how whole events are fitted, of which the first front is a part."""
+    """Say how whole events are fitted."""
     if m.gauges is not None or m.block_length is not None or m.machine_stiffness is not None:
         return "a fit of whole events takes no gauges, ends or machines"
     return "if whole events were measured, give " + m.option("--event full", 'event="full"')
@@ -301,7 +301,7 @@ def _in_words(vector: np.ndarray, q: ParameterSet) -> str:
 
 
 def undetermined(problem: Problem, theta: np.ndarray) -> str:
-    """Describe the combinations of parameters that the data leave open; empty where there is none."""
+    """Describe the combinations that the data leave open, if any."""
     if problem.p == 1:
         return ""
     found = directions(problem, theta)

@@ -57,11 +57,11 @@ GAUGE_UNITS = {"slip": (1e6, "slip (µm)"), "stress": (1e-6, "contact stress aft
 
 
 def fit(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
-    """Draw a fit: lengths against height with residuals below, and length versus stiffness or the profiles.
+    """Draw a fit: lengths, residuals, and length versus stiffness or profiles.
 
-    A single stiffness is drawn against the lengths. Of several parameters the profiles of the first four are drawn, without
-    those that a prior holds if there are others; `fit_profiles` draws all. The title has the result, the material and the
-    specimens. With `ax`, the panels take its place.
+    Lengths are drawn against height. A single stiffness is drawn against the lengths. Of several parameters the profiles of the
+    first four are drawn, without those that a prior holds if there are others; `fit_profiles` draws all. The title has the
+    result, the material and the specimens. With `ax`, the panels take its place.
     """
     names = _determined(result)[:MOST_PROFILES]
     heading = [as_written(line, TITLE) for line in title(result, TITLE)]
@@ -85,7 +85,7 @@ def fit(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
 
 
 def _determined(result: "FitResult") -> list[str]:
-    """Names of the requested parameters that are not inputs, held by their prior; all where no other is left."""
+    """Names of requested parameters that no prior holds, else all."""
     q, covariance = result.parameters, result.covariance
     prior = np.array([one.prior_sigma for one in q.free])
     error = np.full(len(prior), np.inf) if covariance is None else np.sqrt(np.diag(covariance))
@@ -94,7 +94,7 @@ def _determined(result: "FitResult") -> list[str]:
 
 
 def _profiles(result: "FitResult", panels: "list[tuple[str, Axes]]") -> None:
-    """Draw the profiles of some parameters one below the other, under one legend."""
+    """Draw profiles one below the other, under one legend."""
     entries: dict[str, Any] = {}
     for name, panel in panels:
         _profile(result, name, panel)
@@ -111,7 +111,10 @@ def _profiles(result: "FitResult", panels: "list[tuple[str, Axes]]") -> None:
 
 
 def _profile(result: "FitResult", name: str, ax: "Axes") -> None:
-    """Draw a profile in the colour of the specimen whose parameter it is, where the lengths have one curve for each."""
+    """Draw a profile in the colour of its specimen.
+
+    Where the lengths have one curve for each.
+    """
     specimen = result.measurements.specimen
     own = [color for color, rows in _curves(result, ax) if specimen and f"[{specimen[rows[0]]}" in name]
     profile(result, name, ax=ax, color=own[0] if len(own) == 1 else None)
@@ -239,7 +242,7 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
 
 
 def _longest(result: "FitResult", rows: np.ndarray, height: np.ndarray, along: str, curve: "LengthCurve") -> np.ndarray:
-    """Longest length at each height, in λc; NaN where a block is run through.
+    """Longest length at each height, in λc; NaN where none stops.
 
     Where each costs many whole events, it is in proportion to the height as at the two nearest that were measured, or the
     fitted length if that is longer.
@@ -269,7 +272,7 @@ def _draw_data(result: "FitResult", ax: "Axes") -> None:
 
 
 def _draw_fitted(result: "FitResult", ax: "Axes", visible: float) -> None:
-    """Mark fitted lengths farther than `visible` from the curve, which is drawn for the mean inputs of its points."""
+    """Mark fitted lengths farther than `visible` from their mean curve."""
     m, fitted, along, x = result.measurements, result.fitted, result.groups[0], _apart(result)
     scale = m.unit[0]
     for color, rows in _curves(result, ax):
@@ -287,7 +290,10 @@ def _curves(result: "FitResult", ax: "Axes") -> list[tuple[str, np.ndarray]]:
 
 
 def _series(result: "FitResult", ax: "Axes") -> Iterator[tuple[str, str, str, np.ndarray]]:
-    """Marker, colour, name and measurements of each specimen on each curve; the colour is the curve's if there are several."""
+    """Marker, colour, name and measurements of each specimen per curve.
+
+    The colour is the curve's if there are several.
+    """
     curves, specimen = _curves(result, ax), np.array(result.measurements.specimen)
     names = list(dict.fromkeys(specimen.tolist()))
     if not 1 < len(names) <= len(MARKERS):
@@ -301,7 +307,7 @@ def _series(result: "FitResult", ax: "Axes") -> Iterator[tuple[str, str, str, np
 
 
 def _palette(c: Colours, count: int) -> Sequence[str]:
-    """As many different colours: from a scale where they are more than the colours for data."""
+    """Choose different colours, of many from a scale."""
     if count <= len(c.data):
         return c.data[:count]
     from matplotlib import colormaps
@@ -311,7 +317,7 @@ def _palette(c: Colours, count: int) -> Sequence[str]:
 
 
 def _apart(result: "FitResult") -> np.ndarray:
-    """Places of the measurements along the axis, in the unit of the table.
+    """Places of measurements along the axis, in the table's unit.
 
     Those that coincide on a curve are a little apart.
     """
@@ -328,9 +334,9 @@ def _apart(result: "FitResult") -> np.ndarray:
 
 @drawn
 def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
-    """Draw ℓ/H against stiffness for up to six measured heights of the block, or of its push.
+    """Draw ℓ/H against stiffness for up to six measured heights.
 
-    With the measured ℓ/H, and the interval of the stiffness; dashed as in `fit_lengths`.
+    Of the block, or of its push. With the measured ℓ/H, and the interval of the stiffness; dashed as in `fit_lengths`.
     """
     ax = axes(ax)
     c = colours(ax)
@@ -381,7 +387,10 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
 
 
 def _measured_share(result: "FitResult", rows: np.ndarray) -> tuple[float, float]:
-    """Range of ℓ/H measured under one condition: mean ± standard error of lengths; all that counts hold; else no upper end."""
+    """Range of ℓ/H measured under one condition.
+
+    Mean ± standard error of lengths; all that counts hold; else no upper end.
+    """
     m, kind = result.measurements, np.array(result.measurements.kind)[rows]
     measured, counted = rows[kind == "length"], rows[kind == "whole"]
     if len(measured):
@@ -397,7 +406,10 @@ def _measured_share(result: "FitResult", rows: np.ndarray) -> tuple[float, float
 
 @drawn
 def residuals(result: "FitResult", *, along_height: bool = False, ax: "Axes | None" = None) -> "Axes":
-    """Draw (fitted − measured)/σ against the fitted length, or against what `fit_lengths` has along its axis."""
+    """Draw (fitted − measured)/σ against the fitted length.
+
+    Or against what `fit_lengths` has along its axis.
+    """
     ax = axes(ax)
     c = colours(ax)
     m, sigma = result.measurements, result.sigma
@@ -423,11 +435,11 @@ def residuals(result: "FitResult", *, along_height: bool = False, ax: "Axes | No
 
 @drawn
 def profile(result: "FitResult", name: str, *, color: str | None = None, ax: "Axes | None" = None) -> "Axes":
-    """Draw the profile of the deviance along one parameter, blue unless a color is given.
+    """Draw the profile of the deviance along one parameter.
 
-    All others are fitted anew; lines mark the levels of its intervals, and how far these reach where they are those of
-    simulated measurements, for which no level is the same everywhere. Dashed as in `fit_lengths`, for the lengths on which
-    the parameter acts.
+    Blue unless a color is given. All others are fitted anew; lines mark the levels of its intervals, and how far these reach
+    where they are those of simulated measurements, for which no level is the same everywhere. Dashed as in `fit_lengths`, for
+    the lengths on which the parameter acts.
     """
     ax = axes(ax)
     c = colours(ax)
@@ -523,7 +535,10 @@ def _window(result: "FitResult", k: int, nodes: int) -> np.ndarray:
 
 
 def _name(one: "Free", axis: "Axis") -> None:
-    """Label a finished axis; a power of ten goes into the unit, where Matplotlib would print it over a neighbour's label."""
+    """Label a finished axis, with a power of ten in the unit.
+
+    Matplotlib would print it over a neighbour's label.
+    """
     unit, (low, high) = one.unit, axis.get_view_interval()
     power = int(np.floor(np.log10(max(abs(low), abs(high), 1e-300))))
     label_decades(axis)
@@ -535,7 +550,7 @@ def _name(one: "Free", axis: "Axis") -> None:
 
 
 def _curve_names(result: "FitResult", groups: list[tuple[str, np.ndarray]]) -> list[str]:
-    """Name the curves by specimen if each has one, and by what differs within a specimen."""
+    """Name the curves by specimen and what differs within one."""
     one = result.parameters.inputs_at(result.theta).take([rows[0] for _, rows in groups])
     specimen = np.array(result.measurements.specimen or ("",) * len(result.measurements))
     owners = [set(specimen[rows]) for _, rows in groups]
@@ -546,7 +561,7 @@ def _curve_names(result: "FitResult", groups: list[tuple[str, np.ndarray]]) -> l
 
 
 def _differing(one: Inputs, alike: list[np.ndarray]) -> list[tuple[str, np.ndarray]]:
-    """Symbol and values of the inputs that differ within one of several selections of rows."""
+    """Symbol and values of inputs that differ within selected rows."""
     numbers = {"$k/K$": one.ratio, "ν": one.poisson, r"$\varphi$": one.prestress, "ε": one.threshold_slope}
     if "log_push" in one.more:
         numbers["$h/H$"] = np.exp(one.get("log_push"))
@@ -554,7 +569,10 @@ def _differing(one: Inputs, alike: list[np.ndarray]) -> list[tuple[str, np.ndarr
 
 
 def _best(result: "FitResult", specimen: str = "") -> str:
-    """Name the curve of least deviance: not a fit if the model is rejected, nor the best if others fit equally."""
+    """Name the curve of least deviance.
+
+    Not a fit if the model is rejected, nor the best if others fit equally.
+    """
     if result.rejected:
         return "closest (rejected)"
     own = [one.identifiability for name, one in result.verdicts.items() if specimen and f"[{specimen}]" in name]
