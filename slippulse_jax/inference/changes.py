@@ -92,10 +92,7 @@ def find_changes(result: "FitResult") -> list[Change]:
 
 
 def _size(change: Change, result: "FitResult") -> float:
-    """Size of the largest move, as a report orders them.
-
-    None known, factors, then per cent.
-    """
+    """Size of the largest move: none known, factors, then per cent."""
     sizes = [0.0]
     for name, moves in change.moves.items():
         if any(map(math.isnan, moves)):
@@ -213,10 +210,7 @@ def _again(
 
 
 def _starts(result: "FitResult", q: ParameterSet, count: int = STARTS) -> np.ndarray:
-    """Start at the best fit and over the range of stiffness.
-
-    A misfit may have driven it far away.
-    """
+    """Start at the best fit and all over the range of stiffness."""
     thetas = [result.theta, *(root.theta for root in result.minima)]
     every = [dict(zip(result.parameters.names, theta, strict=True)) for theta in thetas]
     start = np.array([[known.get(one.label, known.get(one.name, 0.0)) for one in q.free] for known in every])
@@ -422,10 +416,7 @@ def _shared(result: "FitResult") -> Iterator[str]:
 
 
 def _trend(result: "FitResult") -> str:
-    """Describe a trend of the residuals with the height, if any.
-
-    Of three heights or more.
-    """
+    """Describe a trend of residuals with three heights or more, if any."""
     height = result.measurements.height
     if len(set(height.tolist())) < 3:
         return ""

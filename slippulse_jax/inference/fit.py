@@ -282,10 +282,7 @@ def _explore_scaled(problem: Problem, method: Method, max_steps: int, seed: int)
 
 
 def _explore(problem: Problem, method: Method, max_steps: int, seed: int) -> Found:
-    """Search the range, and follow the profile of every requested parameter.
-
-    In turns, until neither finds what the other missed.
-    """
+    """Search and follow profiles in turns, until neither finds more."""
     options: dict[str, Any] = {"method": method, "max_steps": max_steps, "seed": seed}
     asked = [j for j, one in enumerate(problem.parameters.free) if not one.nuisance]
     found = search(problem, **options)
@@ -317,10 +314,7 @@ def _explore(problem: Problem, method: Method, max_steps: int, seed: int) -> Fou
 
 
 def _softer(problem: Problem, stiff: Root, **options: Any) -> list[Root]:
-    """Find softer minima that the data accept, whatever their deviance.
-
-    Below a stiffness at which a contact breaks again.
-    """
+    """Find accepted minima below a stiff one where contacts break again."""
     q = problem.parameters
     moved = np.array([one.name in STIFFNESSES for one in q.free])
     below = q.low + np.linspace(0, 1, SOFTER)[:-1, None] * (stiff.theta - q.low)
@@ -335,10 +329,7 @@ def _valleys(deviance: np.ndarray, limit: float) -> np.ndarray:
 
 
 def _crossed(roots: list[Root]) -> list[np.ndarray]:
-    """Combine each root with one coordinate of another.
-
-    Two valleys of each of two parameters make four minima.
-    """
+    """Combine each root with one coordinate of another."""
     pairs = [(a.theta, b.theta) for a in roots for b in roots if a is not b]
     return [np.where(np.arange(len(a)) == j, b, a) for a, b in pairs for j in range(len(a)) if len(a) > 1]
 

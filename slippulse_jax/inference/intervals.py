@@ -91,12 +91,7 @@ def _changes(inside: np.ndarray) -> list[int]:
 
 
 def rise_of(level: float, parameters: int = 1, dof: float | None = None) -> float:
-    """Rise of the deviance at the ends of an interval.
-
-    1 at 68.27 % and 3.84 at 95 % for one parameter and known σ. With known σ that is the quantile of χ² with one degree of
-    freedom for each parameter followed. Where the size of the errors is itself estimated, with `dof` degrees of freedom, it is
-    larger, by the F distribution: exactly so for a straight-line model.
-    """
+    """Rise of the deviance at ends of intervals, or of regions."""
     if dof is None:
         return float(chdtri(parameters, 1 - level))
     return parameters * float(fdtri(parameters, dof, level))
@@ -233,10 +228,7 @@ def _crossings(problem: Problem, j: int, curve: Curve, brackets: list[tuple[int,
 
 
 def profile_2d(problem: Problem, i: int, j: int, first: np.ndarray, second: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    """Least deviance at every pair of values of two parameters, (a, b).
-
-    `starts`, (s, p), are points to begin from.
-    """
+    """Least deviance at every pair (a, b), from `starts` (s, p)."""
     held = np.isin(np.arange(problem.p), (i, j))
     a, b = np.meshgrid(first, second, indexing="ij")
     nodes = np.stack([a.ravel(), b.ravel()] if i < j else [b.ravel(), a.ravel()], axis=1)
@@ -372,10 +364,7 @@ def _along(problem: Problem) -> Table:
 
 
 def _across(problem: Problem, j: int, curve: Curve) -> Table:
-    """Choose values of θ_j, and at each those of the other.
-
-    Along the profile, and those that are not hopeless.
-    """
+    """Choose values of θ_j along its profile, and of the other."""
     near = curve.deviance <= curve.deviance.min() + HOPELESS
     profile = np.nonzero(near)[0]
     profile = np.arange(max(profile[0] - 1, 0), min(profile[-1] + 2, len(near)))
@@ -443,10 +432,7 @@ def _points(node: np.ndarray, others: list[np.ndarray], j: int) -> np.ndarray:
 
 
 def _refitted(table: Table, true: int, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rise of D at the true value, and the best value.
-
-    Above its minimum, one per simulation.
-    """
+    """Rise of D at the truth, and best value, per simulation."""
     # single precision is enough: the table is far coarser
     off = (table.off - table.off[table.best[true]]).clip(-1e6, 1e6).astype(np.float32)
     # |y − μ|² = |ε|² − 2 ε·off + |off|², and |ε|² is the same everywhere; one product, a simulation per row

@@ -148,10 +148,7 @@ def _values(kind: str, exact: bool) -> Kernel:
 
 @cache
 def _derivatives(kind: str, loss: Loss) -> Kernel:
-    """Cost of data (μ, value, σ), and derivatives in μ.
-
-    The first, the positive part of the second, and the second.
-    """
+    """Cost of data, its slope, and positive and full bend in μ."""
     cost = _cost(kind, loss)
 
     def one(mu: Array, value: Array, sigma: Array) -> tuple[Array, ...]:
@@ -172,10 +169,7 @@ def _derivatives(kind: str, loss: Loss) -> Kernel:
 
 
 class Observations(NamedTuple):
-    """The data of one observable: n data of R replicates each.
-
-    R = 1 for the measurements themselves.
-    """
+    """Data of one observable: n of R replicates, 1 as measured."""
 
     kind: np.ndarray  # (n,) of "length", "whole", "at_least"
     value: np.ndarray  # (R, n), in λc, m or N/m; the count, or the length run past
@@ -294,10 +288,7 @@ class Problem:
         return dof if dof > 0 else None
 
     def p_value(self, deviance: float, dof: int | None) -> float | None:
-        """Probability of so large a deviance, or its upper bound.
-
-        With the degrees of freedom of `testable`; None where it has none.
-        """
+        """Probability of so large a deviance, with `testable` degrees of freedom."""
         return None if dof is None else float(chdtrc(dof, deviance - self.perfect))
 
     def accepts(self, theta: np.ndarray, deviance: float, most: float = np.inf) -> bool:
@@ -310,10 +301,7 @@ class Problem:
 
     @property
     def perfect(self) -> float:
-        """Deviance of data that the model meets: 0, but for counts.
-
-        Of a count with an error another might have been counted.
-        """
+        """Deviance where the model meets all: 0, but for blurred counts."""
         return 2 * float(self._least.sum())
 
     @property
@@ -325,10 +313,7 @@ class Problem:
 
     @property
     def known(self) -> int:
-        """Number of values with an error, the priors among them.
-
-        Not of counts and fronts without arrest.
-        """
+        """Number of values and priors; not of counts and limits."""
         return self.count - int((self.lengths.kind != "length").sum())
 
     def __call__(self, theta: Float[np.ndarray, "B p"], lane: np.ndarray | None = None, order: int = 0) -> Evaluation:
@@ -396,10 +381,7 @@ class Problem:
         return mu, first, second
 
     def _along(self, data: Observations, theta: np.ndarray, directions: np.ndarray | None) -> tuple[np.ndarray, ...]:
-        """μ of every datum, (B, n), and derivatives along D directions.
-
-        The first and second along directions in θ, (D, B, n).
-        """
+        """μ, (B, n), and its two derivatives along directions, (D, B, n)."""
         inputs, names = data.inputs.at(theta), data.inputs.names
         lanes, distinct = inputs.poisson.shape
         scale, offset = np.exp(data.scale(theta)), data.offset(theta)
@@ -473,10 +455,7 @@ class Problem:
         )
 
     def residuals(self, theta: np.ndarray) -> np.ndarray:
-        """Residuals of a `plain` problem in σ, priors last.
-
-        Shape (B, N + p).
-        """
+        """Residuals in σ, priors last, if `plain`; shape (B, N + p)."""
         value = np.concatenate([data.value[0] for data in self.observed])
         sigma = np.concatenate([data.sigma for data in self.observed])
         known = np.sqrt(self.prior_weight) * (theta - self.prior_mean[0])
@@ -488,10 +467,7 @@ class Problem:
         return self._predictions(data, np.atleast_2d(theta), 0)[0]
 
     def information(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Fisher information at one θ, (p, p), and the Jacobian behind it.
-
-        Scaled, shape (n + priors, p).
-        """
+        """Fisher information, (p, p), and its scaled Jacobian, (n + priors, p)."""
         theta = np.atleast_2d(theta)
         rows = []
         for data in self.observed:
@@ -525,10 +501,7 @@ class Problem:
         return dataclasses.replace(self, observed=(blunt, *self.observed[1:])) if sharp.any() else self
 
     def with_replicates(self, values: dict[str, np.ndarray], weights: dict[str, np.ndarray], means: np.ndarray) -> "Problem":
-        """Replace the data by R other sets.
-
-        By observable, shape (R, n), and means of priors, (R, p).
-        """
+        """Replace data, (R, n) by observable, and prior means, (R, p)."""
         observed = tuple(
             data._replace(value=values[data.observable], weight=weights[data.observable]) for data in self.observed
         )
@@ -571,10 +544,7 @@ def _log_likelihood(theta: Array, problem: Problem, data: Observations) -> Array
 
 
 def _sites(problem: Problem, data: Observations) -> int:
-    """Number of contacts whose fields are traced.
-
-    Eight times what gauges and counts need in the middle of the range.
-    """
+    """Number of contacts traced: eight times those needed amid the range."""
     middle = data.inputs.at((problem.parameters.low + problem.parameters.high) / 2)
     return 64 + 8 * int(max(np.exp(middle.get("log_position")).max(), middle.get("counted").max()))
 

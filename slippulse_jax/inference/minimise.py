@@ -229,10 +229,7 @@ def _positive(curvature: np.ndarray, metric: np.ndarray) -> np.ndarray:
 
 
 def _by_optax(method: Method, objective: Any, start: np.ndarray, low: np.ndarray, high: np.ndarray, max_steps: int) -> Descents:
-    """Descend by optax from every start at once.
-
-    Over z of θ = low + (high − low)/(1 + e^−z).
-    """
+    """Descend by optax from every start, over the logit of θ."""
     import jax
     import jax.numpy as jnp
     import optax

@@ -146,10 +146,7 @@ def on_one_curve(result: "FitResult", along: Along) -> list[np.ndarray]:
 
 
 def alike(result: "FitResult", theta: np.ndarray, apart_from: Along | None = None) -> list[np.ndarray]:
-    """Group measurements of equal inputs at θ, apart from a height.
-
-    In the order of the table.
-    """
+    """Group measurements of equal inputs at θ, apart from a height."""
     inputs, contact = result.parameters.inputs_at(theta), result.measurements.correlation_length
     same = [inputs.get(name) for name in inputs.names if apart_from is None or name != INPUTS[apart_from]]
     keys = np.column_stack([np.round(same, 9).T, np.zeros_like(inputs.poisson) if contact is None else contact])

@@ -175,8 +175,9 @@ def of_dict(kind: type[Record], content: dict[str, Any]) -> tuple[Record, dict[s
         problem = problem.widened(np.array(content["between_contacts"], dtype=float))
     if content.get("scatter") is not None:
         problem = problem.with_sigma(content["scatter"], of_lengths=m.length_sigma is None)
-    fields = {"suspicions": suspicions(m, request["free"])} | content | {"request": {}}
-    found = decode(kind, fields, problem=problem, parameters=q)
+    if "suspicions" not in content:  # as before 0.3
+        content = {**content, "suspicions": suspicions(m, request["free"])}
+    found = decode(kind, {**content, "request": {}}, problem=problem, parameters=q)
     known = {"changes": list[Change], "next_steps": list[str]}
     known = {name: decode(hint, content[name], np.nan) for name, hint in known.items() if name in content}
     return dataclasses.replace(found, request=request), known  # pyright: ignore[reportArgumentType]

@@ -161,10 +161,7 @@ def _alone(result: "FitResult") -> str:
 
 
 class Shown(NamedTuple):
-    """A fitted parameter as written, in the unit of the table.
-
-    Or k/K that follows from one.
-    """
+    """A fitted parameter, or k/K from one, as the report writes it."""
 
     symbol: str
     unit: str
@@ -317,10 +314,7 @@ def _values(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
 
 
 def _verdicts(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
-    """State the verdicts in words, each with its parameters.
-
-    Without them where all share one.
-    """
+    """State the verdicts in words, each with its parameters if several."""
     found = result.verdicts
     kinds = sorted({one.identifiability for one in found.values()}, key=GRAVITY.index)
     for kind in kinds:
@@ -462,10 +456,7 @@ def _roots(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
 
 
 def _bounds(result: "FitResult") -> tuple[float, float] | None:
-    """Round bounds of a stiffness that hold only the first root.
-
-    None where none do.
-    """
+    """Round bounds of a stiffness that hold only the first root."""
     stiff = [name for name in result.names if result.parameters.named(name).name in STIFFNESSES]
     if len(stiff) != 1:
         return None

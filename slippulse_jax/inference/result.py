@@ -144,10 +144,7 @@ class FitResult:
         return self.parameters.values(self.theta, nuisance=True)
 
     def rise(self, level: float, parameters: int = 1) -> float:
-        """Rise of the deviance at the ends of an interval.
-
-        For regions of several parameters too.
-        """
+        """Rise of the deviance at ends of intervals, or of regions."""
         return rise_of(level, parameters, self.scatter_dof)
 
     @functools.cached_property

@@ -298,10 +298,7 @@ def posterior(
     unbounded = unbounded + 1e-3 * np.random.default_rng(seed).standard_normal(unbounded.shape)
 
     def potential(z: Array) -> Array:
-        """−ln posterior over z.
-
-        With θ = low + (high − low)/(1 + e^−z).
-        """
+        """−ln posterior over the logit of θ in its range."""
         theta = jnp.asarray(low + (high - low) * jax.nn.sigmoid(z))
         return result.problem.traced(theta) - (jax.nn.log_sigmoid(z) + jax.nn.log_sigmoid(-z)).sum()
 

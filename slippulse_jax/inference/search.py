@@ -58,10 +58,7 @@ class Grid(NamedTuple):
         return found
 
     def starts(self) -> np.ndarray:
-        """Middle of the lowest floor, then local minima, lowest first; (s, p).
-
-        The corners of a floor may be ends of the range.
-        """
+        """Middle of the lowest floor, then local minima, lowest first; (s, p)."""
         lows = self.lows(range(self.deviance.ndim))
         if not lows.any():
             return self.theta[lows]
@@ -336,10 +333,7 @@ def _starts(problem: Problem, grid: Grid | None, seed: int) -> np.ndarray:
 
 
 def lowest_look(problem: Problem) -> np.ndarray:
-    """Point of least deviance on the grid, shape (p,).
-
-    And of a sample where a prior may be narrower than that.
-    """
+    """Point of least deviance on the grid or at a prior."""
     points = _starts(problem, grid_of(problem), 0)
     if problem.prior_weight.any():
         points = np.concatenate([points, _sampled(problem, 0)])

@@ -111,10 +111,7 @@ def _profiles(result: "FitResult", panels: "list[tuple[str, Axes]]") -> None:
 
 
 def _profile(result: "FitResult", name: str, ax: "Axes") -> None:
-    """Draw a profile in the colour of its specimen.
-
-    Where the lengths have one curve for each.
-    """
+    """Draw a profile in the colour of its specimen's curve, if any."""
     specimen = result.measurements.specimen
     own = [color for color, rows in _curves(result, ax) if specimen and f"[{specimen[rows[0]]}" in name]
     profile(result, name, ax=ax, color=own[0] if len(own) == 1 else None)
