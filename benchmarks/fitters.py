@@ -23,9 +23,9 @@ from scipy.optimize import curve_fit
 
 from benchmarks.fit_coverage import SIGMA, model, stiffness_at
 from slippulse_jax import Measurements, fit
-from slippulse_jax.inference.fitted import LEVELS
 from slippulse_jax.inference.fronts import FirstFront
 from slippulse_jax.inference.inputs import Inputs
+from slippulse_jax.inference.intervals import LEVELS
 from slippulse_jax.inference.likelihood import make_problem
 from slippulse_jax.inference.minimise import minimise
 from slippulse_jax.inference.parameters import parameter_set

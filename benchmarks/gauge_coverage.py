@@ -19,7 +19,7 @@ from scipy.special import chdtrc, chdtri
 
 import slippulse_jax as sp
 from benchmarks.fit_coverage import Share
-from slippulse_jax.inference.fitted import LEVELS
+from slippulse_jax.inference.intervals import LEVELS
 from slippulse_jax.inference.likelihood import IMPROBABLE, make_problem
 from slippulse_jax.inference.parameters import parameter_set
 

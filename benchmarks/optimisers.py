@@ -94,7 +94,7 @@ def runs(m: Measurements, kind: Kind, method: Method, seed: int) -> list[Run]:
 
     def by_search() -> tuple[np.ndarray, np.ndarray]:
         found = search(problem, method=method, max_steps=STEPS, seed=0)
-        return np.array([found.deviance]), np.array([bool(found.roots)])
+        return np.array([found.deviance]), np.array([bool(found.minima)])
 
     def by_fit() -> tuple[np.ndarray, np.ndarray]:
         result = fit(m, kind.free, method=method, max_steps=STEPS)

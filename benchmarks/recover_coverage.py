@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 import slippulse_jax as sp
-from slippulse_jax.inference.fitted import LEVELS
+from slippulse_jax.inference.intervals import LEVELS
 from slippulse_jax.inference.recover import Determination, RecoveredProfile
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))

@@ -20,7 +20,6 @@ from slippulse_jax.exact.front import exact_length as exact_length
 from slippulse_jax.front.sensitivity import sensitivity as sensitivity
 from slippulse_jax.inference.design import design as design
 from slippulse_jax.inference.fit import fit as fit
-from slippulse_jax.inference.fit import load_fit as load_fit
 from slippulse_jax.inference.knowledge import Knowledge as Knowledge
 from slippulse_jax.inference.measurements import Gauges as Gauges
 from slippulse_jax.inference.measurements import Measurements as Measurements
@@ -28,6 +27,7 @@ from slippulse_jax.inference.mechanism import pulse_or_crack as pulse_or_crack
 from slippulse_jax.inference.objective import objective as objective
 from slippulse_jax.inference.parameters import Parameter as Parameter
 from slippulse_jax.inference.recover import recover_profile as recover_profile
+from slippulse_jax.inference.result import load_fit as load_fit
 from slippulse_jax.inference.tables import read_measurements as read_measurements
 from slippulse_jax.interface import Interface as Interface
 from slippulse_jax.interface import Profile as Profile

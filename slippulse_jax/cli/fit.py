@@ -123,9 +123,10 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
         measurements = read_measurements(csv, gauges=options["gauges"])
         settings = from_request(_with_options(request, options))
         with warnings.catch_warnings():
-            warnings.simplefilter("always", MeasurementWarning)
-            warnings.showwarning = lambda message, *_: click.echo(f"before fitting: {message}", err=True)
+            warnings.simplefilter("ignore", MeasurementWarning)
             result = fit(measurements, bounds=options["bounds"] or None, **settings)
+        for suspicion in result.suspicions:
+            click.echo(f"check first: {suspicion}", err=True)
         drawn = {}
         if options["bootstrap"]:
             kind = "case" if options["case"] else "parametric"
@@ -149,7 +150,7 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
 
 
 def _draw(result: "FitResult", samples: dict[str, Any], options: dict[str, Any]) -> None:
-    """Draw the requested pictures; in the corner plot all samples that were drawn."""
+    """Draw the requested pictures, with all samples in the corner plot."""
     if not any(options[name] for name in ("figure", "profiles", "gauge_figure", "corner")):
         return
     from slippulse_jax import plot

@@ -1,4 +1,4 @@
-"""Changes that would move a fit: usual errors of its inputs, another body, richer models.
+"""Changes that would move a fit: inputs, bodies, richer models.
 
 An input without a standard error of its own is taken as exact, and a table rarely states everything. What that leaves out is
 found by fitting again with one thing changed for all measurements alike: near the fit where it is a usual error, as of a wrong
@@ -8,23 +8,26 @@ ruler or modulus; else over the whole range, as `fit` does with the changed tabl
 import dataclasses
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc
 
 from slippulse_jax.block import USUAL_NORMAL_STIFFNESS
 from slippulse_jax.inference.columns import COLUMNS, IN_LC
-from slippulse_jax.inference.fitted import LEVELS, SCATTERED, Fitted, Identifiability
 from slippulse_jax.inference.fronts import BlockEvent
-from slippulse_jax.inference.intervals import Interval
+from slippulse_jax.inference.intervals import LEVELS, Interval
 from slippulse_jax.inference.likelihood import IMPROBABLE, Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.minimise import minimise
 from slippulse_jax.inference.parameters import HEIGHTS, MODEL_ERROR, STIFFNESSES, Parameter, ParameterSet, parameter_set
 from slippulse_jax.inference.search import between_contacts, ordered, search
+from slippulse_jax.inference.verdict import SCATTERED, Identifiability
 from slippulse_jax.shown import format_number, plural
 from slippulse_jax.status import NotConverged
+
+if TYPE_CHECKING:
+    from slippulse_jax.inference.result import FitResult
 
 USUAL = ("height", "length", "young", "poisson", "correlation_length", "push_height", "friction")
 """Columns with a usual error, in the order in which a paper states them."""
@@ -57,7 +60,7 @@ MOST_OUTLIERS = 5
 
 
 class Change(NamedTuple):
-    """Something that may be otherwise than the fit takes it, and how far it would move each fitted parameter.
+    """Something that may be otherwise, and how far parameters would move.
 
     A move is that of the logarithm of a positive parameter, else of the parameter itself; NaN where nothing then fits.
     """
@@ -70,7 +73,7 @@ class Change(NamedTuple):
     several: tuple[bool, ...] = ()  # which of the moves are by a fit with more than one value, of which this is the first
 
     def both(self, name: str) -> tuple[float, float]:
-        """Moves of a parameter by the usual error of an input, and by its opposite."""
+        """Moves of a parameter by a usual error and its opposite."""
         (move,), opposite = self.moves[name], self.opposite[name]
         return (-opposite if math.isnan(move) else move), opposite
 
@@ -80,98 +83,101 @@ class Change(NamedTuple):
         return (move - opposite) / 2
 
 
-def changes(fitted: Fitted) -> list[Change]:
-    """List what would move the parameters that have a value, or several; largest first."""
-    if not fitted.moved:
+def find_changes(result: "FitResult") -> list[Change]:
+    """List what would move the parameters, largest first."""
+    if not result.moved:
         return []
-    every = [*_of_inputs(fitted), *_of_ends(fitted), *_of_bodies(fitted)]
-    return sorted((one for one in every if one.moves), key=lambda one: -_size(one, fitted))
+    every = [*_of_inputs(result), *_of_ends(result), *_of_bodies(result)]
+    return sorted((one for one in every if one.moves), key=lambda one: -_size(one, result))
 
 
-def _size(change: Change, fitted: Fitted) -> float:
-    """Size of the largest move, in the order in which a report has them: none known, factors, then per cent."""
+def _size(change: Change, result: "FitResult") -> float:
+    """Size of the largest move: none known, factors, then per cent."""
     sizes = [0.0]
     for name, moves in change.moves.items():
         if any(map(math.isnan, moves)):
             return math.inf
-        if fitted.parameters.named(name).log:
+        if result.parameters.named(name).log:
             ratios = [math.exp(by) for by in moves]
             sizes += [abs(ratio - 1) if 1 / MANY < ratio < MANY else max(ratio, 1 / ratio) for ratio in ratios]
         else:
-            sizes += [abs(by / (fitted.values[name] or 1.0)) for by in moves]
+            sizes += [abs(by / (result.values[name] or 1.0)) for by in moves]
     return max(sizes)
 
 
 # --- usual errors of inputs -----------------------------------------------------------------------------------------------
 
 
-def _of_inputs(fitted: Fitted) -> Iterator[Change]:
+def _of_inputs(result: "FitResult") -> Iterator[Change]:
     """Usual errors of the inputs taken as exact."""
-    m, q = fitted.measurements, fitted.parameters
+    m, q = result.measurements, result.parameters
     beside = {one.name for one in q.free}
     beside |= {"length"} if "model_factor" in beside else set()  # which contains a scale of all lengths
     for name in USUAL:
         if name in beside or not _taken_as_exact(m, name) or (name in OF_BLOCKS and q.front.body == "slider"):
             continue
         what, error, *other = COLUMNS[name].usual
-        moves = _moves(fitted, _moved(m, name, error))
+        moves = _moves(result, _moved(m, name, error))
         opposite = {one: -by for one, (by,) in moves.items()}
         if np.isnan(list(moves.values())).any():
-            allowed = _allowed(fitted, name, error)
+            allowed = _allowed(result, name, error)
             opposite = {one: -float(allowed[q.index(one)]) for one in moves}
         elif other:
-            back = _moves(fitted, _moved(m, name, *other))
+            back = _moves(result, _moved(m, name, *other))
             opposite = {one: opposite[one] if np.isnan(by) else by for one, (by,) in back.items()}
         counted = " (counts stay as they are)" * (name == "correlation_length" and m.in_si and "whole" in m.kind)
         yield Change(name, what + counted, moves, opposite)
 
 
-def _allowed(fitted: Fitted, name: str, error: float) -> np.ndarray:
-    """Moves of θ by an input whose usual error the data exclude: by its error in a fit in which it is fitted too.
+def _allowed(result: "FitResult", name: str, error: float) -> np.ndarray:
+    """Moves of θ by an input whose usual error the data exclude.
 
-    To first order, from refits with the input moved a little either way: as the deviance rises by (step/σ)², the data know the
-    input to σ, beside what is usual.
+    By its error in a fit in which it is fitted too. To first order, from refits with the input moved a little either way: as
+    the deviance rises by (step/σ)², the data know the input to σ, beside what is usual.
     """
     steps = (-SMALL * error, SMALL * error)
-    (low, below), (high, above) = (_refitted(fitted, _moved(fitted.measurements, name, by)) for by in steps)
-    rise = max(below + above - 2 * fitted.deviance, 0.0) / 2 / SMALL**2
+    (low, below), (high, above) = (_refitted(result, _moved(result.measurements, name, by)) for by in steps)
+    rise = max(below + above - 2 * result.deviance, 0.0) / 2 / SMALL**2
     return (high - low) / 2 / SMALL / np.sqrt(1 + rise)
 
 
-def _moves(fitted: Fitted, m: Measurements) -> dict[str, tuple[float]]:
+def _moves(result: "FitResult", m: Measurements) -> dict[str, tuple[float]]:
     """Moves of the parameters that have a value; NaN where nothing fits."""
-    theta, deviance = _refitted(fitted, m)
-    dof, misfit = fitted.testable_dof, deviance - fitted.problem.perfect
+    theta, deviance = _refitted(result, m)
+    dof, misfit = result.testable_dof, deviance - result.problem.perfect
     lost = not np.isfinite(deviance) or (dof is not None and chdtrc(dof, misfit) < IMPROBABLE)
-    moved = np.full(len(theta), np.nan) if lost else theta - fitted.theta
-    return {one: (float(moved[fitted.parameters.index(one)]),) for one in fitted.moved}
+    moved = np.full(len(theta), np.nan) if lost else theta - result.theta
+    return {one: (float(moved[result.parameters.index(one)]),) for one in result.moved}
 
 
-def _refitted(fitted: Fitted, m: Measurements) -> tuple[np.ndarray, float]:
-    """θ of the first minimum near those known, for other measurements, and its deviance."""
-    q = fitted.parameters
+def _refitted(result: "FitResult", m: Measurements) -> tuple[np.ndarray, float]:
+    """θ and deviance of the first minimum nearby, for other measurements."""
+    q = result.parameters
     other = parameter_set(m, q.wanted, q.front.event, q.front.body, front=q.front)
-    starts = np.array([fitted.theta, *(root.theta for root in fitted.minima)])
-    problem = make_problem(m, other, fitted.problem.loss, _sigma(fitted, m))
+    starts = np.array([result.theta, *(root.theta for root in result.minima)])
+    problem = make_problem(m, other, result.problem.loss, _sigma(result, m))
     found = search(problem, method="lm", max_steps=MOST_STEPS, seed=0, extra=starts)
-    first = next(iter(ordered(problem, found.roots)), found)
+    first = next(iter(ordered(problem, found.minima)), found)
     return first.theta, first.deviance
 
 
-def _sigma(fitted: Fitted, m: Measurements) -> np.ndarray:
+def _sigma(result: "FitResult", m: Measurements) -> np.ndarray:
     """Standard errors of the fit, for measurements in another λc."""
-    sigma, own = fitted.sigma, fitted.measurements.correlation_length
+    sigma, own = result.sigma, result.measurements.correlation_length
     if m.correlation_length is None or own is None:
         return sigma
     return np.where(np.array(m.kind) == "whole", sigma, sigma * (own / m.correlation_length))
 
 
-def _again(fitted: Fitted, name: str, what: str, every: Iterable[Measurements], names: Iterable[str], **other: Any) -> Change:
-    """Fit other measurements over the whole range, as `fit` does, each for one move of the parameters named.
+def _again(
+    result: "FitResult", name: str, what: str, every: Iterable[Measurements], names: Iterable[str], **other: Any
+) -> Change:
+    """Fit other measurements over the whole range, as `fit` does.
 
-    With the `wanted` parameters, `event` and `body` of that fit, if they are other ones.
+    Each for one move of the parameters named. `other` has the `wanted` parameters, `event` and `body`, if they are not those of
+    the fit.
     """
-    q, seed = fitted.parameters, fitted.request["seed"]
+    q, seed = result.parameters, result.request["seed"]
     own = q.front if q.front.body == "slider" and "event" not in other else None
     model = {"wanted": q.wanted, "event": q.front.event, "body": q.front.body, "front": own} | other
     moves: dict[str, tuple[float, ...]] = dict.fromkeys(names, ())
@@ -180,30 +186,30 @@ def _again(fitted: Fitted, name: str, what: str, every: Iterable[Measurements], 
         theta, fits = None, 0
         try:
             changed = parameter_set(m, **model)
-            problem = make_problem(m, changed, fitted.problem.loss, _sigma(fitted, m) if fitted.scaled else m.stated_sigma)
-            between = None if fitted.scaled else between_contacts(problem, seed)
+            problem = make_problem(m, changed, result.problem.loss, _sigma(result, m) if result.scaled else m.stated_sigma)
+            between = None if result.scaled else between_contacts(problem, seed)
             if between is not None:
-                problem = make_problem(m, changed, fitted.problem.loss, np.hypot(m.stated_sigma, between))
-            starts = None if changed.front.interpolated else _valleys(problem, _starts(fitted, changed, TRIED))
+                problem = problem.widened(between)
+            starts = None if changed.front.interpolated else _valleys(problem, _starts(result, changed, TRIED))
             found = search(problem, method="lm", max_steps=MOST_STEPS, seed=seed, extra=starts)
-            roots = ordered(problem, found.roots)
+            roots = ordered(problem, found.minima)
             first = next(iter(roots), found)
             room = np.minimum(first.theta - changed.low, changed.high - first.theta) > AT_END * (changed.high - changed.low)
             if problem.accepts(first.theta, first.deviance) and room[[one in moves for one in changed.names]].all():
                 theta = dict(zip(changed.names, first.theta.tolist(), strict=True))
-            fits = sum(root.deviance <= first.deviance + fitted.rise(LEVELS[-1]) for root in roots)
+            fits = sum(root.deviance <= first.deviance + result.rise(LEVELS[-1]) for root in roots)
         except (ValueError, NotConverged):  # nothing starts, or nothing stops, in the range that was asked for
             pass
         for one in moves:
-            moves[one] += (math.nan if theta is None else theta[one] - float(fitted.theta[q.index(one)]),)
-        several.append(fits > 1 and not fitted.points)
+            moves[one] += (math.nan if theta is None else theta[one] - float(result.theta[q.index(one)]),)
+        several.append(fits > 1 and not result.points)
     return Change(name, what, moves, several=tuple(several))
 
 
-def _starts(fitted: Fitted, q: ParameterSet, count: int = STARTS) -> np.ndarray:
-    """Start at the best fit and all over the range of the stiffness: a misfit may have driven it far away."""
-    thetas = [fitted.theta, *(root.theta for root in fitted.minima)]
-    every = [dict(zip(fitted.parameters.names, theta, strict=True)) for theta in thetas]
+def _starts(result: "FitResult", q: ParameterSet, count: int = STARTS) -> np.ndarray:
+    """Start at the best fit and all over the range of stiffness."""
+    thetas = [result.theta, *(root.theta for root in result.minima)]
+    every = [dict(zip(result.parameters.names, theta, strict=True)) for theta in thetas]
     start = np.array([[known.get(one.label, known.get(one.name, 0.0)) for one in q.free] for known in every])
     stiff = np.array([one.name in STIFFNESSES for one in q.free])
     spread = q.low + (q.high - q.low) * np.linspace(0, 1, count + 2)[1:-1, None]
@@ -211,7 +217,10 @@ def _starts(fitted: Fitted, q: ParameterSet, count: int = STARTS) -> np.ndarray:
 
 
 def _taken_as_exact(m: Measurements, name: str) -> bool:
-    """Whether the table has this input without an error; counted contacts have no scale of length."""
+    """Whether the table has this input without an error.
+
+    Counted contacts have no scale of length.
+    """
     if name == "length":
         return set(m.kind) != {"whole"}
     errors = getattr(m, f"{name}_sigma")
@@ -219,7 +228,10 @@ def _taken_as_exact(m: Measurements, name: str) -> bool:
 
 
 def _moved(m: Measurements, name: str, by: float) -> Measurements:
-    """Measurements with one input larger by `by` throughout; lengths in metres stay the same as λc changes."""
+    """Enlarge one input of all measurements by `by`.
+
+    Lengths in metres stay the same as λc changes.
+    """
     if name == "poisson":
         return dataclasses.replace(m, poisson=m.poisson + by)
     factor, counted = np.exp(by), np.array(m.kind) == "whole"
@@ -234,33 +246,33 @@ def _moved(m: Measurements, name: str, by: float) -> Measurements:
 # --- ends, pushes and bodies ----------------------------------------------------------------------------------------------
 
 
-def _of_ends(fitted: Fitted) -> Iterator[Change]:
-    """An end of the block, a machine that gives way and a model factor, as far as the table states none.
+def _of_ends(result: "FitResult") -> Iterator[Change]:
+    """End of the block, soft machine, model factor, if none stated.
 
     Ends and machines for lengths of first fronts only: gauges take long to compute again, as do fronts of very many contacts,
     and whole events are for blocks without end.
     """
-    m, at, q = fitted.measurements, fitted.regime, fitted.parameters
-    if q.front.event == "domino" and m.gauges is None and fitted.fitted.max() < MOST_CONTACTS:
+    m, at, q = result.measurements, result.regime, result.parameters
+    if q.front.event == "domino" and m.gauges is None and result.fitted.max() < MOST_CONTACTS:
         if m.block_length is None:
             ended = dataclasses.replace(m, block_length=END * np.maximum(at.slow_decay_length, m.length / 4))
-            yield _again(fitted, "block_length", "a block that ends at 4/κ₂", [ended], fitted.moved)
+            yield _again(result, "block_length", "a block that ends at 4/κ₂", [ended], result.moved)
         if m.machine_stiffness is None and (m.young is not None or not m.in_si):
             own = at.edge_stiffness * (1.0 if m.young is None else m.young)
             driven = [dataclasses.replace(m, machine_stiffness=share * own) for share in MACHINES]
-            yield _again(fitted, "machine_stiffness", "a machine as stiff as the block, or a third of it", driven, fitted.moved)
+            yield _again(result, "machine_stiffness", "a machine as stiff as the block, or a third of it", driven, result.moved)
     scaled = {one.name for one in q.free} | {*q.held}
     if _taken_as_exact(m, "length") and not any(m.provenance) and "model_factor" not in scaled:
         factor = 1 + MODEL_ERROR
         what = f"a model factor of {factor:g}, if the lengths were measured (provenance = measured fits it)"
         wanted = [*q.wanted, Parameter("model_factor", value=factor)]
-        yield _again(fitted, "model_factor", what, [m], fitted.moved, wanted=wanted)
+        yield _again(result, "model_factor", what, [m], result.moved, wanted=wanted)
 
 
-def _of_bodies(fitted: Fitted) -> Iterator[Change]:
+def _of_bodies(result: "FitResult") -> Iterator[Change]:
     """Another body or push for the same lengths, and thresholds that scatter."""
-    m, q = fitted.measurements, fitted.parameters
-    stiff, unit = [name for name in fitted.moved if q.named(name).name in STIFFNESSES], f"_{m.unit[1]}" * m.in_si
+    m, q = result.measurements, result.parameters
+    stiff, unit = [name for name in result.moved if q.named(name).name in STIFFNESSES], f"_{m.unit[1]}" * m.in_si
     if not stiff:
         return
     block = q.front.body == "block"
@@ -269,13 +281,13 @@ def _of_bodies(fitted: Fitted) -> Iterator[Change]:
         assert m.push_height is not None
         at = np.clip(m.push_height, NARROW * m.height, (1 - NARROW) * m.height)
         narrow = dataclasses.replace(m, push_height=at, push_width=NARROW * m.height)
-        yield _again(fitted, "push_width", f"a pusher {NARROW_PUSHER} (column push_width{unit} states it)", [narrow], stiff)
+        yield _again(result, "push_width", f"a pusher {NARROW_PUSHER} (column push_width{unit} states it)", [narrow], stiff)
     if not block and relaxed and m.push_height is None and q.front.event == "domino" and not m.or_zero("threshold_slope").any():
         lengths = dataclasses.replace(m, **dict.fromkeys(BlockEvent.refused))
         wanted = [one for one in q.wanted if one.name != "strength"]
         pushed = [dataclasses.replace(lengths, push_height=at * m.height) for at in PUSHES]
         what = f"a real block, pushed from {', '.join(map(str, PUSHES))} H up (column push_height{unit} fits one)"
-        yield _again(fitted, "block", what, pushed, stiff, wanted=wanted, event="full", body="block")
+        yield _again(result, "block", what, pushed, stiff, wanted=wanted, event="full", body="block")
     if block:
         wanted = [one for one in q.wanted if one.name != "friction"]
         tried, what = (0.0,), "thresholds that do not follow the pressure (μ = 0)"
@@ -283,18 +295,18 @@ def _of_bodies(fitted: Fitted) -> Iterator[Change]:
             tried = PRESSED
             what = "thresholds that follow the pressure, at μ = {:g} or {:g} (column friction)".format(*PRESSED)
         pressed = [dataclasses.replace(m, friction=np.full(len(m), mu), friction_sigma=None) for mu in tried]
-        yield _again(fitted, "pressure", what, pressed, stiff, wanted=wanted, front=BlockEvent(*pressed))
+        yield _again(result, "pressure", what, pressed, stiff, wanted=wanted, front=BlockEvent(*pressed))
         if m.friction is not None and m.normal_stiffness is None:
             what = "k_n/k of {:g} or {:g}, for {:g} (column normal_stiffness states it)".format(*NORMAL, USUAL_NORMAL_STIFFNESS)
             sprung = [dataclasses.replace(m, normal_stiffness=np.full(len(m), ratio)) for ratio in NORMAL]
-            yield _again(fitted, "normal_stiffness", what, sprung, stiff, front=BlockEvent(*sprung))
+            yield _again(result, "normal_stiffness", what, sprung, stiff, front=BlockEvent(*sprung))
     if q.front.event != "crack":  # not studied for crack-like fronts
         ends = tuple(-math.log1p(-share) for share in SCATTERING)
         what = "thresholds that scatter by 5 % between contacts (found for sliders of b = 0.3 to 3)"
         yield Change("threshold", what, dict.fromkeys(stiff, ends))
     if block:
         wanted = [one for one in q.wanted if one.name not in ("push_height", "friction")]
-        yield _again(fitted, "slider", "the paper's slider", [m], stiff, wanted=wanted, event="domino", body="slider")
+        yield _again(result, "slider", "the paper's slider", [m], stiff, wanted=wanted, event="domino", body="slider")
 
 
 # --- errors with those of inputs ------------------------------------------------------------------------------------------
@@ -305,22 +317,22 @@ def of_inputs(moved: Sequence[Change]) -> list[Change]:
     return sorted((one for one in moved if one.opposite), key=lambda one: USUAL.index(one.name))
 
 
-def total(fitted: Fitted, name: str, moved: Sequence[Change]) -> float | None:
-    """Standard error of a parameter, inputs taken as exact included; None where there is none."""
-    stderr = fitted.stderrs[name]
+def total(result: "FitResult", name: str, moved: Sequence[Change]) -> float | None:
+    """Total standard error of a parameter; None where there is none."""
+    stderr = result.stderrs[name]
     if stderr is None:
         return None
-    unit = fitted.values[name] if fitted.parameters.named(name).log else 1.0
+    unit = result.values[name] if result.parameters.named(name).log else 1.0
     return float(np.hypot(stderr, unit * np.linalg.norm([one.by(name) for one in of_inputs(moved)])))
 
 
-def total_interval(fitted: Fitted, name: str, moved: Sequence[Change]) -> Interval | None:
-    """The 68 % interval of a parameter, each side widened by the errors of the inputs taken as exact.
+def total_interval(result: "FitResult", name: str, moved: Sequence[Change]) -> Interval | None:
+    """The 68 % interval, widened by errors of inputs.
 
     In quadrature; of a positive parameter in its logarithm. None where the interval is open or in pieces.
     """
-    pieces, one = fitted.intervals.get(name, {}).get(LEVELS[0], []), fitted.parameters.named(name)
-    moves, value = np.array([one.both(name) for one in of_inputs(moved)]).reshape(-1, 2), fitted.values[name]
+    pieces, one = result.intervals.get(name, {}).get(LEVELS[0], []), result.parameters.named(name)
+    moves, value = np.array([one.both(name) for one in of_inputs(moved)]).reshape(-1, 2), result.values[name]
     by = np.linalg.norm([moves.min(axis=1), moves.max(axis=1)], axis=1)
     if len(pieces) != 1 or pieces[0].open_low or pieces[0].open_high or not np.isfinite(by + value).all():
         return None
@@ -329,12 +341,12 @@ def total_interval(fitted: Fitted, name: str, moved: Sequence[Change]) -> Interv
     return Interval(one.value(one.theta(value) - sides[0]), one.value(one.theta(value) + sides[1]), False, False)
 
 
-def total_of_ratio(fitted: Fitted, labels: tuple[str, str], moved: Sequence[Change]) -> float | None:
-    """Standard error of the ratio of two stiffnesses, inputs taken as exact included; None where there is none.
+def total_of_ratio(result: "FitResult", labels: tuple[str, str], moved: Sequence[Change]) -> float | None:
+    """Total standard error of a ratio of stiffnesses, or None.
 
     Errors of inputs measured on each specimen, its heights, are independent; the others move both stiffnesses.
     """
-    ratio, error = fitted.stiffness_ratios[labels]
+    ratio, error = result.stiffness_ratios[labels]
     inputs = of_inputs(moved)
     if error is None or not all(label in one.moves for one in inputs for label in labels):
         return None
@@ -346,43 +358,43 @@ def total_of_ratio(fitted: Fitted, labels: tuple[str, str], moved: Sequence[Chan
 # --- what to try next -----------------------------------------------------------------------------------------------------
 
 
-def next_steps(fitted: Fitted) -> list[str]:
-    """Suggest what to try next, with the option: what the residuals of a rejected fit indicate, or inputs that may be shared.
+def suggestions(result: "FitResult") -> list[str]:
+    """Suggest what to try next, with the option.
 
-    Each fit with one freedom more starts from the best fit. It is suggested if the data would then be accepted, or if χ² per
-    degree of freedom falls to a fifth; the best first. Where the fit is not rejected but scatters more than σ implies, it is
-    suggested if it then no longer does.
+    What the residuals of a rejected fit indicate, or inputs that may be shared. Each fit with one freedom more starts from the
+    best fit. It is suggested if the data would then be accepted, or if χ² per degree of freedom falls to a fifth; the best
+    first. Where the fit is not rejected but scatters more than σ implies, it is suggested if it then no longer does.
     """
-    m, dof = fitted.measurements, fitted.testable_dof
-    p_value = fitted.p_value if fitted.problem.plain else None
-    if fitted.given and len(fitted.given) == len(fitted.names):
+    m, dof = result.measurements, result.testable_dof
+    p_value = result.p_value if result.problem.plain else None
+    if result.given and len(result.given) == len(result.names):
         scattered = p_value is not None and p_value < SCATTERED
-        return [*_offered(fitted, _richer(fitted) if scattered else ()), *_shared(fitted)]
-    at_maximum = fitted.identifiability is Identifiability.AT_MAXIMUM
-    if not at_maximum and fitted.identifiability is not Identifiability.POOR_FIT:
+        return [*_offered(result, _richer(result) if scattered else ()), *_shared(result)]
+    at_maximum = result.identifiability is Identifiability.AT_MAXIMUM
+    if not at_maximum and result.identifiability is not Identifiability.POOR_FIT:
         return []
     rejected = p_value is not None and p_value < IMPROBABLE
-    steps = _offered(fitted, [*_richer(fitted), *_outliers(fitted)]) if rejected else []
+    steps = _offered(result, [*_richer(result), *_outliers(result)]) if rejected else []
     if at_maximum:
         steps.append(
             "check the units of heights and lengths, and that the height is the effective one, of the line where the load acts"
         )
     refused = any(getattr(m, name) is not None for name in BlockEvent.refused) or m.or_zero("threshold_slope").any()
-    if (at_maximum or _trend(fitted)) and m.push_height is None and not refused:
+    if (at_maximum or _trend(result)) and m.push_height is None and not refused:
         unit = f"_{m.unit[1]}" * m.in_si
         steps.append(
             f"state where the side is pushed, in columns push_height{unit} and push_width{unit}: a block is then fitted"
         )
     if dof and rejected and not steps:
-        larger = f"{np.sqrt(fitted.deviance / dof):.2g} times as large"
+        larger = f"{np.sqrt(result.deviance / dof):.2g} times as large"
         relative = m.option("--sigma relative", 'sigma="relative"')
         steps.append(f"if σ is a guess, it would have to be {larger}; take it from the scatter by {relative}")
     return steps
 
 
-def _shared(fitted: Fitted) -> Iterator[str]:
-    """Suggest sharing a material constant whose value and error are stated alike for all specimens."""
-    m, found = fitted.measurements, fitted.parameters.free
+def _shared(result: "FitResult") -> Iterator[str]:
+    """Suggest sharing a constant that is stated alike for all specimens."""
+    m, found = result.measurements, result.parameters.free
     for name in ("young", "poisson", "correlation_length", "push_height"):
         each = [one for one in found if one.name == name and one.nuisance]
         value, sigma = getattr(m, name), getattr(m, f"{name}_sigma")
@@ -392,7 +404,7 @@ def _shared(fitted: Fitted) -> Iterator[str]:
             size = m.correlation_length[0] if at and m.correlation_length is not None else 1.0
             mean, deviation = f"{value[0] * size:.6g}", f"{sigma[0] * size:.6g}"
             prior = f'sp.Parameter("{name}", prior=({mean}, {deviation}))'
-            option = m.option(f"--prior {name}={mean},{deviation}", _as_argument(fitted.parameters.wanted, prior))
+            option = m.option(f"--prior {name}={mean},{deviation}", _as_argument(result.parameters.wanted, prior))
             source = "they were measured from one zero" if at else f"one source gives {symbol} of all"
             yield (
                 f"each {'push' if at else 'specimen'} has an error of {symbol} of its own: if {source}, they share "
@@ -400,32 +412,35 @@ def _shared(fitted: Fitted) -> Iterator[str]:
             )
 
 
-def _trend(fitted: Fitted) -> str:
-    """Describe a trend of the residuals with the height; empty where there is none, or fewer than three heights."""
-    height = fitted.measurements.height
+def _trend(result: "FitResult") -> str:
+    """Describe a trend of residuals with three heights or more, if any."""
+    height = result.measurements.height
     if len(set(height.tolist())) < 3:
         return ""
-    correlation = np.corrcoef(np.log(height), fitted.residuals)[0, 1]
+    correlation = np.corrcoef(np.log(height), result.residuals)[0, 1]
     low, tall = ("long", "short") if correlation < 0 else ("short", "long")
     return f"the fitted lengths are too {low} on low blocks and too {tall} on tall ones" * bool(np.abs(correlation) >= 0.8)
 
 
-def _richer(fitted: Fitted) -> Iterator[tuple[float, int, str]]:
-    """Try one stiffness for each specimen, and a prestress: the least deviance, the additional freedoms, and how to fit it."""
-    m, wanted = fitted.measurements, list(fitted.parameters.wanted)
+def _richer(result: "FitResult") -> Iterator[tuple[float, int, str]]:
+    """Try one stiffness for each specimen, and a prestress.
+
+    Each with the least deviance, the additional freedoms, and how to fit it.
+    """
+    m, wanted = result.measurements, list(result.parameters.wanted)
     shared = next((one for one in wanted if one.name in STIFFNESSES and one.value is None and one.each is None), None)
     if shared is not None and len(set(m.specimen)) > 1:
         own = Parameter("stiffness", shared.bounds, shared.prior, "specimen")
         each = [own if one is shared else one for one in wanted]
-        signs = [set(np.sign(fitted.residuals[np.array(m.specimen) == one]).tolist()) for one in dict.fromkeys(m.specimen)]
+        signs = [set(np.sign(result.residuals[np.array(m.specimen) == one]).tolist()) for one in dict.fromkeys(m.specimen)]
         one_sign = all(len(one) == 1 for one in signs)
         pattern = "the residuals of each specimen have one sign: " if one_sign else "the specimens may differ: "
         option = m.option("--each-specimen stiffness", _as_argument(each))
-        yield *_with(fitted, each), f"{pattern}try one stiffness for each: {option}"
-    if fitted.parameters.front.body == "slider" and m.prestress is None and all(one.name != "prestress" for one in wanted):
-        trend, more = _trend(fitted), [*wanted, Parameter("prestress")]
+        yield *_with(result, each), f"{pattern}try one stiffness for each: {option}"
+    if result.parameters.front.body == "slider" and m.prestress is None and all(one.name != "prestress" for one in wanted):
+        trend, more = _trend(result), [*wanted, Parameter("prestress")]
         option = m.option(" ".join(f"--free {one.name}" for one in _asked(more)), _as_argument(more))
-        yield *_with(fitted, more), f"{trend}{': ' * bool(trend)}try a prestress, the same for all: {option}"
+        yield *_with(result, more), f"{trend}{': ' * bool(trend)}try a prestress, the same for all: {option}"
 
 
 def _asked(wanted: Sequence[Parameter]) -> list[Parameter]:
@@ -446,32 +461,32 @@ def _in_python(one: Parameter) -> str:
     return f'sp.Parameter("{one.name}", {", ".join(more)})' if more else f'"{one.name}"'
 
 
-def _with(fitted: Fitted, wanted: list[Parameter]) -> tuple[float, int]:
-    """Least deviance of a fit of these parameters, and how many more they are."""
-    m, front = fitted.measurements, fitted.parameters.front
+def _with(result: "FitResult", wanted: list[Parameter]) -> tuple[float, int]:
+    """Least deviance with these parameters, and how many more they are."""
+    m, front = result.measurements, result.parameters.front
     q = parameter_set(m, wanted, front.event, front.body, front=front)
-    problem = make_problem(m, q, fitted.problem.loss, fitted.sigma)
-    value = minimise(problem, _starts(fitted, q), q.low, q.high, max_steps=MOST_STEPS).value
-    return 2 * float(value.min()), problem.p - fitted.problem.p
+    problem = make_problem(m, q, result.problem.loss, result.sigma)
+    value = minimise(problem, _starts(result, q), q.low, q.high, max_steps=MOST_STEPS).value
+    return 2 * float(value.min()), problem.p - result.problem.p
 
 
 def _valleys(problem: Problem, points: np.ndarray) -> np.ndarray:
-    """Those of some points at which the deviance is no larger than at the points before and after, and not infinite."""
+    """Points at which a finite deviance is below that beside them."""
     value = np.concatenate([[np.inf], problem(points).value, [np.inf]])
     return points[(value[1:-1] <= value[:-2]) & (value[1:-1] <= value[2:]) & np.isfinite(value[1:-1])]
 
 
-def _outliers(fitted: Fitted) -> Iterator[tuple[float, int, str]]:
-    """Try to leave one measurement out, that without which the deviance is least; as `_richer`."""
-    m, problem, q = fitted.measurements, fitted.problem, fitted.parameters
+def _outliers(result: "FitResult") -> Iterator[tuple[float, int, str]]:
+    """Try to leave out the measurement that fits worst; as `_richer`."""
+    m, problem, q = result.measurements, result.problem, result.parameters
     if len(m) < 4:
         return
-    suspects = np.argsort(-np.abs(fitted.residuals))[:MOST_OUTLIERS]
+    suspects = np.argsort(-np.abs(result.residuals))[:MOST_OUTLIERS]
     count = len(suspects)
     weights = {data.observable: (data.measurement != suspects[:, None]).astype(float) for data in problem.observed}
     values = {data.observable: np.repeat(data.value, count, axis=0) for data in problem.observed}
     without: Problem = problem.with_replicates(values, weights, np.repeat(problem.prior_mean, count, axis=0))
-    starts = _starts(fitted, q)
+    starts = _starts(result, q)
     lane = np.repeat(np.arange(count), len(starts))
     value = minimise(without, np.tile(starts, (count, 1)), q.low, q.high, lane=lane, max_steps=MOST_STEPS).value
     best = int(np.argmin(value))
@@ -480,12 +495,15 @@ def _outliers(fitted: Fitted) -> Iterator[tuple[float, int, str]]:
     yield 2 * float(value[best]), 1, text
 
 
-def _offered(fitted: Fitted, tried: Iterable[tuple[float, int, str]]) -> list[str]:
-    """Suggestions with their χ², if that is accepted or much lower per degree of freedom; the best first."""
-    least = IMPROBABLE if (fitted.p_value or 0.0) < IMPROBABLE else SCATTERED
-    most, found = MUCH * fitted.deviance / (fitted.testable_dof or 1), []
+def _offered(result: "FitResult", tried: Iterable[tuple[float, int, str]]) -> list[str]:
+    """Suggestions with their χ², the best first.
+
+    If that is accepted, or much lower per degree of freedom.
+    """
+    least = IMPROBABLE if (result.p_value or 0.0) < IMPROBABLE else SCATTERED
+    most, found = MUCH * result.deviance / (result.testable_dof or 1), []
     for deviance, more, text in tried:
-        dof = (fitted.testable_dof or 0) - more
+        dof = (result.testable_dof or 0) - more
         if dof > 0 and (chdtrc(dof, deviance) >= least or deviance / dof < most):
             of = f"(chi-squared {format_number(deviance, 3)} for {plural(dof, 'degree')} of freedom)"
             found.append((deviance / dof, f"{text} {of}"))

@@ -1,8 +1,6 @@
-"""The fit: every minimum of the deviance, profile-likelihood intervals, and a verdict on each parameter."""
+"""The fit: every minimum, profile-likelihood intervals, a verdict on each parameter."""
 
 import dataclasses
-import functools
-import json
 import os
 import sys
 import warnings
@@ -11,17 +9,13 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from tqdm.auto import tqdm
 
 from slippulse_jax.domains import check_choice, check_whole
-from slippulse_jax.files import write_atomically
-from slippulse_jax.inference import predicted, record, report
-from slippulse_jax.inference.changes import Change, changes, next_steps, total, total_interval
+from slippulse_jax.inference import record
 from slippulse_jax.inference.choices import Body, IntervalsBy, Loss, MeasuredEvent, Method, Sigma
-from slippulse_jax.inference.fitted import LEVELS, Fitted
 from slippulse_jax.inference.intervals import (
-    Curve,
+    LEVELS,
     Interval,
     Intervals,
     allowed,
@@ -33,12 +27,20 @@ from slippulse_jax.inference.intervals import (
     to_be_simulated,
 )
 from slippulse_jax.inference.likelihood import Problem, make_problem
-from slippulse_jax.inference.measurements import Measurements, MeasurementWarning, likely_mistakes
-from slippulse_jax.inference.objective import problem_of
-from slippulse_jax.inference.parameters import STIFFNESSES, Parameter, attainable, mistaken_priors, wanted_parameters
-from slippulse_jax.inference.samples import Bootstrap, Samples, bootstrap, posterior
+from slippulse_jax.inference.measurements import Measurements, MeasurementWarning
+from slippulse_jax.inference.parameters import (
+    STIFFNESSES,
+    Parameter,
+    attainable,
+    parameter_set,
+    wanted_parameters,
+    with_errors_of_measuring,
+)
+from slippulse_jax.inference.record import suspicions
+from slippulse_jax.inference.result import FitResult
 from slippulse_jax.inference.search import (
     SLACK,
+    Curve,
     Found,
     Root,
     between_contacts,
@@ -51,7 +53,7 @@ from slippulse_jax.inference.search import (
     search,
 )
 from slippulse_jax.inference.tables import measurements_of
-from slippulse_jax.inference.verdict import directions, judge
+from slippulse_jax.inference.verdict import judge
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -59,177 +61,6 @@ if TYPE_CHECKING:
 MOST_ROOTS = 4  # from which a profile is started
 SEARCH_ROUNDS = 3  # the search is repeated where a profile finds a lower deviance
 SOFTER = 17  # starts below a stiffness at which a contact breaks again
-
-
-class FitResult(Fitted):
-    """Result of `fit`. Start with `report()`, `identifiability` and `intervals`.
-
-    What else would move it (`changes`, `next_steps`) is found by fitting again, once, when it is first asked for: by one of
-    these names, or by `report`, `str`, `to_dict` and `save`, which contain them. A result that `load_fit` reads has them.
-    """
-
-    @functools.cached_property
-    def changes(self) -> list[Change]:
-        """Changes of inputs, ends, pushes and bodies that would move the parameters, and how far; largest first."""
-        return changes(self)
-
-    @functools.cached_property
-    def next_steps(self) -> list[str]:
-        """Suggestions with their options: what a rejected fit lacks, or errors of inputs that specimens may share."""
-        return next_steps(self)
-
-    @property
-    def stderrs_with_inputs(self) -> dict[str, float | None]:
-        """Standard errors with usual errors of inputs taken as exact (`changes`); None as in `stderrs`."""
-        return {name: total(self, name, self.changes) for name in self.names}
-
-    @property
-    def errors_with_inputs(self) -> dict[str, tuple[float, float] | None]:
-        """Errors to publish, below and above each value, with usual errors of inputs; None where there is no value.
-
-        The sides of the 68 % interval, each widened by the errors of inputs taken as exact; else the standard error twice.
-        """
-        found: dict[str, tuple[float, float] | None] = dict.fromkeys(self.names)
-        for name in self.given:
-            value, error = self.values[name], self.stderrs_with_inputs[name]
-            piece = total_interval(self, name, self.changes)
-            found[name] = None if error is None else (error, error)
-            if piece is not None and piece.encloses(value):
-                found[name] = value - piece.low, piece.high - value
-        return found
-
-    @functools.cached_property
-    def directions(self) -> list[dict[str, Any]]:
-        """Combinations of the parameters by how well they are determined: `combination`, `stderr` and `coefficients`."""
-        return directions(self.problem, self.theta)
-
-    def curve(
-        self,
-        rows: "int | Sequence[int] | np.ndarray",
-        heights: ArrayLike,
-        theta: np.ndarray | None = None,
-        *,
-        along: predicted.Along = "height",
-    ) -> predicted.LengthCurve:
-        """Predict the lengths of measurements like some of these at other heights.
-
-        Parameters
-        ----------
-        rows : int or sequence of int
-            Measurements that they are like: every other input is the mean of theirs.
-        heights : array_like, shape (n,)
-            Heights in λc of the table (of ``measurements.unit[0]`` each, in the unit of the table).
-        theta : array, shape (p,) or (t, p), optional
-            Other θ than those of the best fit, in the order of ``parameters.names``.
-        along : {"height", "push_height"}
-            Whether `heights` are those of the block, whose push stays at its share of the height, or of the push.
-
-        Returns
-        -------
-        LengthCurve
-            ``length``, ``bands``, ``longest`` in λc of the table, and ``breaks_again``.
-
-        Raises
-        ------
-        ValueError
-            If the measurements state no such height.
-        """
-        return predicted.curve(self, rows, heights, theta, along=along)
-
-    def field(self, row: int, observable: str, position: ArrayLike) -> np.ndarray:
-        """Predict the slip or stress along the interface after one precursor.
-
-        Parameters
-        ----------
-        row : int
-            Measurement, for which gauges read this.
-        observable : {"slip", "stress"}
-        position : array_like, shape (n,)
-            Distances from the pushed edge, in m.
-
-        Returns
-        -------
-        array, shape (n,)
-            Slip in m, or stress in Pa; inf where the front never stops.
-
-        Raises
-        ------
-        ValueError
-            If no gauge read it.
-        """
-        return predicted.field(self, row, observable, position)
-
-    @property
-    def notes(self) -> list[str]:
-        """Remarks to read before using the numbers."""
-        return list(report.notes(self))
-
-    def report(self, *, verbose: bool = False) -> str:
-        """Format the result as text: a box, what else would move it, the data, remarks; everything else if `verbose`."""
-        return report.report(self, self.changes, self.next_steps, verbose=verbose)
-
-    def methods(self) -> str:
-        """Write a sentence for the methods section of a paper, with the numbers of this fit."""
-        return report.methods(self, self.changes)
-
-    def __repr__(self) -> str:
-        values = ", ".join(f"{name} = {value:.4g}" for name, value in self.values.items())
-        return f"FitResult({self.identifiability.name}: {values}; report() says more)"
-
-    def _repr_html_(self) -> str:
-        return report.html_of(self, self.changes)
-
-    def __str__(self) -> str:
-        return self.report()
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the whole result as plain Python values for JSON; open ends and missing numbers are None."""
-        more = {
-            "stderr_with_inputs": self.stderrs_with_inputs,
-            "error_with_inputs": self.errors_with_inputs,
-            "directions": self.directions,
-            "notes": self.notes,
-        }
-        return record.to_dict(self, self.changes, self.next_steps, **more)
-
-    def to_dataframe(self) -> "pd.DataFrame":
-        """Return measurements and model as a pandas.DataFrame, one row per measurement, in the unit of the table."""
-        return record.to_dataframe(self)
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the result as JSON, as ``slippulse fit --json`` prints it; `load_fit` reads it."""
-        text = json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
-        write_atomically(path, (text + "\n").encode())
-
-    def bootstrap(self, count: int = 1000, *, kind: Bootstrap = "parametric", seed: int = 0) -> Samples:
-        """Refit simulated or resampled measurements: see `slippulse_jax.inference.samples`."""
-        return bootstrap(self, count, kind=kind, seed=seed)
-
-    def posterior(
-        self, *, samples: int = 1000, warmup: int = 500, chains: int = 4, seed: int = 0, progress: bool | None = None
-    ) -> Samples:
-        """Sample the posterior by NUTS: see `slippulse_jax.inference.samples`; needs the extra ``bayes``."""
-        return posterior(self, samples=samples, warmup=warmup, chains=chains, seed=seed, progress=progress)
-
-
-def load_fit(path: str | os.PathLike[str]) -> FitResult:
-    """Read a fit that `FitResult.save` wrote, or ``slippulse fit --json`` printed.
-
-    Nothing is fitted again: measurements, request, what the search found, and what else would move the result are in the file.
-    What else would move a fit that version 0.2 wrote is found when it is first asked for.
-
-    Raises
-    ------
-    OSError
-        If there is no such file, or it cannot be opened.
-    ValueError
-        If it is no fit, or has another schema.
-    """
-    found, moved, steps = record.of_dict(record.read_record(path))
-    result = FitResult(**{one.name: getattr(found, one.name) for one in dataclasses.fields(found)})
-    known = {"changes": moved, "next_steps": steps}
-    vars(result).update({name: x for name, x in known.items() if x is not None})  # where `cached_property` keeps them
-    return result
 
 
 def fit(
@@ -307,92 +138,90 @@ def fit(
     MeasurementWarning
         Where a column seems to be in another unit than its name says, or two to be exchanged.
     """
-    given = locals().copy()
-    measurements = measurements_of(measurements)
-    wanted = wanted_parameters(free, bounds, fixed)
-    _warn_of_mistakes(measurements, wanted)
-    request = {"free": wanted} | {name: x for name, x in given.items() if name in record.SETTINGS}
+    arguments = locals().copy()
+    measurements, wanted = measurements_of(measurements), wanted_parameters(free, bounds, fixed)
+    suspected = suspicions(measurements, wanted)
+    for mistake in suspected:
+        warnings.warn(mistake, MeasurementWarning, stacklevel=3)
     choices = {"loss": (loss, Loss), "method": (method, Method), "sigma": (sigma, Sigma), "intervals": (intervals, IntervalsBy)}
     for name, (value, known) in choices.items():
         check_choice(name, value, known)
     check_whole("max_steps", max_steps, 1)
     check_whole("seed", seed, 0)
     scaled = sigma == "relative" or measurements.length_sigma is None
-    problem = problem_of(measurements, wanted, loss, size_known=not scaled, event=event, body=body)
-    parameters = problem.parameters
-    _check_scaled(measurements, problem, scaled)
+    every = with_errors_of_measuring(measurements, wanted, size_known=not scaled)
+    problem = make_problem(measurements, parameter_set(measurements, every, event, body), loss, measurements.stated_sigma)
+    _check_scaled(problem, scaled)
     _check_calibrated(problem, intervals, scaled)
-    counts = allowed_by_counts(problem) if problem.only_counts and not parameters.front.interpolated else None
+    counts = allowed_by_counts(problem) if problem.only_counts and not problem.parameters.front.interpolated else None
+    held, at_odds = counts or ([], None)
     between = None if scaled or counts else between_contacts(problem, seed)
     if between is not None:
-        problem = make_problem(measurements, parameters, loss, np.hypot(measurements.stated_sigma, between))
-    held, at_odds = counts or ([], None)
+        problem = problem.widened(between)
     if held:
         found = _of_counts(problem, held)
     else:
         with _progress(problem) as shown:
             if scaled:
-                problem, found = _explore_scaled(shown, measurements, method, max_steps, seed)
+                problem, found = _explore_scaled(shown, method, max_steps, seed)
             else:
                 found = _explore(shown, method, max_steps, seed)
-    best, deviance, names = found.theta, found.deviance, parameters.names
-    asked = [j for j, one in enumerate(parameters.free) if not one.nuisance]
-    limits = {level: deviance + rise_of(level, dof=found.scatter_dof) for level in LEVELS}
-    pieces = {j: allowed(problem, j, found.curves[j], limits) for j in asked}
+    limits = {level: found.deviance + rise_of(level, dof=found.scatter_dof) for level in LEVELS}
+    profiled = {j: allowed(problem, j, curve, limits) for j, curve in found.curves.items()}
     if counts is not None:
-        pieces = {0: dict.fromkeys(LEVELS, held)}
-    reported, covered = pieces, {}
-    if counts is None and not scaled and to_be_simulated(problem, intervals, found.roots, deviance, pieces, best):
+        profiled = {0: dict.fromkeys(LEVELS, held)}
+    simulated: dict[int, tuple[Intervals, tuple[float, float]]] = {}
+    if counts is None and not scaled and to_be_simulated(problem, intervals, found, profiled):
         with _progress(problem) as shown:
             simulated = calibrated(shown, LEVELS, curves=found.curves, seed=seed)
-        reported = {j: own for j, (own, _) in simulated.items()}
-        covered = {names[j]: shares for j, (_, shares) in simulated.items()}
-    longest, longest_at = attainable(parameters, best)
-    result = FitResult(
+    longest, longest_at = attainable(problem.parameters, found.theta)
+    # counts at odds are named; the search of such a misfit need not converge
+    unconverged = [] if counts else [start for start in found.unconverged if start[0] <= limits[LEVELS[-1]]]
+    found = found._replace(
+        unconverged=unconverged,
+        roots=tuple(root for root in found.minima if root.deviance <= limits[LEVELS[-1]]),
+        testable_dof=None if scaled else problem.testable(found.theta),
+        attainable=longest,
+        covered={j: shares for j, (_, shares) in simulated.items()},
+    )
+    names = {j: problem.parameters.names[j] for j in profiled}
+    judged = {
+        names[j]: judge(problem, found, j, pieces, simulated[j][0] if simulated else pieces, at_odds)
+        for j, pieces in profiled.items()
+    }
+    return FitResult(
         measurements=measurements,
         problem=problem,
-        request=request,
-        theta=best,
-        deviance=deviance,
-        minima=found.roots,
-        curves={names[j]: found.curves[j] for j in asked},
-        intervals={},
-        verdicts={},
+        request={"free": wanted} | {name: x for name, x in arguments.items() if name in record.SETTINGS},
+        theta=found.theta,
+        deviance=found.deviance,
+        minima=found.minima,
+        curves={names[j]: curve for j, curve in found.curves.items()},
+        intervals=_in_units(problem, found.theta, {name: trusted for name, (_, trusted) in judged.items()}),
+        verdicts={name: verdict for name, (verdict, _) in judged.items()},
         scatter=found.scatter,
         scatter_dof=found.scatter_dof,
         closest=found.closest,
-        testable_dof=None if scaled else problem.testable(best),
-        # counts at odds are named; the search of such a misfit need not converge
-        unconverged=[] if counts else [message for value, message in found.unconverged if value <= limits[LEVELS[-1]]],
+        testable_dof=found.testable_dof,
+        unconverged=[message for _, message in unconverged],
         attainable=longest,
         attainable_at=longest_at,
         between_contacts=between,
-        covered=covered,
+        covered={names[j]: shares for j, shares in found.covered.items()},
+        suspicions=suspected,
     )
-    judged = {names[j]: judge(result, j, pieces[j], reported[j], at_odds) for j in asked}
-    return dataclasses.replace(
-        result,
-        verdicts={name: verdict for name, (verdict, _) in judged.items()},
-        intervals=_in_units(problem, best, {name: trusted for name, (_, trusted) in judged.items()}),
-    )
-
-
-def _warn_of_mistakes(m: Measurements, wanted: list[Parameter]) -> None:
-    prestressed = any(one.name == "prestress" for one in wanted)
-    for mistake in (*likely_mistakes(m, prestressed=prestressed), *mistaken_priors(m, wanted)):
-        warnings.warn(mistake, MeasurementWarning, stacklevel=4)
 
 
 @contextmanager
 def _progress(problem: Problem) -> Iterator[Problem]:
-    """Show a progress bar of the evaluations; on a terminal at once, because the first fit compiles before it counts."""
+    """Show a progress bar; on a terminal at once, before compiling."""
     delay = 0 if sys.stderr is not None and sys.stderr.isatty() else 2
     with tqdm(desc="fit (the first compiles)", unit=" lengths", unit_scale=True, delay=delay, leave=False, disable=None) as bar:
         yield dataclasses.replace(problem, tick=bar.update)
 
 
 def _in_units(problem: Problem, best: np.ndarray, pieces: dict[str, Intervals]) -> dict[str, Intervals]:
-    """Convert intervals to the units of the parameters; add those of k/K where it is proportional to one of them."""
+    """Convert intervals to units, and add k/K where that is proportional."""
     q = problem.parameters
 
     def converted(found: Intervals, unit: Callable[[float], float]) -> Intervals:
@@ -407,10 +236,10 @@ def _in_units(problem: Problem, best: np.ndarray, pieces: dict[str, Intervals]) 
     return result
 
 
-def _check_scaled(m: Measurements, problem: Problem, scaled: bool) -> None:
+def _check_scaled(problem: Problem, scaled: bool) -> None:
     if not scaled:
         return
-    copies = len(m) - m.distinct
+    copies = len(problem.measurements) - problem.measurements.distinct
     if problem.count - copies <= problem.p:
         different = f", of which {copies} repeat another one exactly," if copies else ""
         raise ValueError(
@@ -431,19 +260,19 @@ def _check_calibrated(problem: Problem, intervals: str, scaled: bool) -> None:
 
 
 def _of_counts(problem: Problem, held: list[Interval]) -> Found:
-    """Put a root in the middle of every range that the counts allow, the softest first."""
+    """Put a root in every range that counts allow, softest first."""
     middle = np.array([[(piece.low + piece.high) / 2] for piece in held])
     value = 2 * problem(middle).value
-    roots = [describe(problem, point, float(v)) for point, v in zip(middle, value, strict=True)]
-    grid = grid_of(problem)
-    return Found(roots, middle[0], float(value.min()), [], grid, {0: profile(problem, 0, roots, middle, grid)})
+    minima = [describe(problem, point, float(v)) for point, v in zip(middle, value, strict=True)]
+    curve = profile(problem, 0, minima, middle, grid_of(problem))
+    return Found(minima, middle[0], float(value.min()), [], None, {0: curve})
 
 
-def _explore_scaled(problem: Problem, m: Measurements, method: Method, max_steps: int, seed: int) -> tuple[Problem, Found]:
+def _explore_scaled(problem: Problem, method: Method, max_steps: int, seed: int) -> tuple[Problem, Found]:
     """Search with σ scaled to the scatter about the best fit known."""
-    theta, rounds = first_look(problem, seed), 0
+    theta, rounds, of_lengths = first_look(problem, seed), 0, problem.measurements.length_sigma is None
     while True:
-        scaled, near = scaled_to_scatter(problem, theta, of_lengths=m.length_sigma is None)
+        scaled, near = scaled_to_scatter(problem, theta, of_lengths=of_lengths)
         found = _explore(scaled, method, max_steps, seed)
         rounds += 1
         if found.deviance >= near.deviance - 1e-3 or rounds == SEARCH_ROUNDS:
@@ -453,14 +282,15 @@ def _explore_scaled(problem: Problem, m: Measurements, method: Method, max_steps
 
 
 def _explore(problem: Problem, method: Method, max_steps: int, seed: int) -> Found:
-    """Search the range, and compute the profile of every requested parameter."""
+    """Search and follow profiles in turns, until neither finds more."""
+    options: dict[str, Any] = {"method": method, "max_steps": max_steps, "seed": seed}
     asked = [j for j, one in enumerate(problem.parameters.free) if not one.nuisance]
-    found = search(problem, method=method, max_steps=max_steps, seed=seed)
+    found = search(problem, **options)
     if not np.isfinite(found.deviance):
         raise ValueError("the front never stops anywhere in the range searched: these measurements cannot come from this model")
-    roots, best, deviance = found.roots, found.theta, found.deviance
+    roots, best, deviance = found.minima, found.theta, found.deviance
     if roots and all(root.rebreaks for root in roots):
-        roots = _merged(problem, roots, _softer(problem, roots[0], method=method, max_steps=max_steps, seed=seed))
+        roots = _merged(problem, roots, _softer(problem, roots[0], **options))
     curves: dict[int, Curve] = {}
     for _ in range(SEARCH_ROUNDS):
         roots = ordered(problem, roots)
@@ -473,11 +303,9 @@ def _explore(problem: Problem, method: Method, max_steps: int, seed: int) -> Fou
             if not any(curve.deviance[i] >= root.deviance - 1e-6 and _near(curve, i, root) for root in roots)
         ]
         missed += _crossed(roots[:MOST_ROOTS])
-        if not missed:
-            break
-        more = search(problem, method=method, max_steps=max_steps, seed=seed, extra=np.array(missed))
         before = len(roots)
-        roots = _merged(problem, roots, more.roots)
+        if missed:
+            roots = _merged(problem, roots, search(problem, extra=np.array(missed), **options).minima)
         if len(roots) == before:
             break
     known = [root.deviance for root in roots]
@@ -486,11 +314,11 @@ def _explore(problem: Problem, method: Method, max_steps: int, seed: int) -> Fou
 
 
 def _softer(problem: Problem, stiff: Root, **options: Any) -> list[Root]:
-    """Find minima below a stiffness at which a contact breaks again that the data accept, whatever their deviance."""
+    """Find accepted minima below a stiff one where contacts break again."""
     q = problem.parameters
     moved = np.array([one.name in STIFFNESSES for one in q.free])
     below = q.low + np.linspace(0, 1, SOFTER)[:-1, None] * (stiff.theta - q.low)
-    found = search(problem, extra=np.where(moved, below, stiff.theta), **options).roots if moved.any() else []
+    found = search(problem, extra=np.where(moved, below, stiff.theta), **options).minima if moved.any() else []
     return [root for root in found if not root.rebreaks and problem.accepts(root.theta, root.deviance, stiff.deviance + SLACK)]
 
 
@@ -501,7 +329,7 @@ def _valleys(deviance: np.ndarray, limit: float) -> np.ndarray:
 
 
 def _crossed(roots: list[Root]) -> list[np.ndarray]:
-    """Each root with one coordinate of another: two valleys of each of two parameters make four minima."""
+    """Combine each root with one coordinate of another."""
     pairs = [(a.theta, b.theta) for a in roots for b in roots if a is not b]
     return [np.where(np.arange(len(a)) == j, b, a) for a, b in pairs for j in range(len(a)) if len(a) > 1]
 
@@ -513,7 +341,7 @@ def _near(curve: Curve, i: int, root: Root) -> bool:
 
 
 def _lowest(roots: list[Root], curves: dict[int, Curve], best: np.ndarray, deviance: float) -> tuple[np.ndarray, float]:
-    """Return the first root if nothing lies lower than all; otherwise a point of a profile, such as the end of the range."""
+    """Return the first root, or a lower point of a profile."""
     for curve in curves.values():
         i = int(np.argmin(curve.deviance))
         if curve.deviance[i] < deviance - 1e-9 * max(1.0, abs(deviance)):

@@ -1,4 +1,4 @@
-"""Intervals of a parameter: by profile likelihood, by simulated measurements, and by counts.
+"""Intervals of a parameter: by profile likelihood, by simulation, by counts.
 
 The length rises with stiffness, peaks and falls again, so that the likelihood can have two maxima, a broad top, or an open
 side. A curvature at the best point misses that. A profile-likelihood interval does not: it is the set of values whose
@@ -26,8 +26,10 @@ from scipy.special import chdtri, fdtri
 
 from slippulse_jax.inference.likelihood import Problem
 from slippulse_jax.inference.minimise import minimise
-from slippulse_jax.inference.search import SLACK, Grid, Root, first_edges
+from slippulse_jax.inference.search import SLACK, Curve, Found, Grid, Root, first_edges
 
+LEVELS = (0.6827, 0.95)
+"""Confidence levels of intervals."""
 NODES = 61  # of a profile of one of several parameters, over its whole range
 STEPS_AROUND = np.array([0.1, 0.25, 0.5, 0.75, 1, 1.25, 1.6, 2, 2.5, 3, 4, 6])  # in standard errors of a root
 STARTS_KEPT = 2  # per node, and of the low points of a grid
@@ -56,7 +58,7 @@ HALVINGS = 48  # of a bracket between two nodes: to rounding
 
 
 class Interval(NamedTuple):
-    """One piece of a profile-likelihood interval; on an open side it reaches the end of the range searched."""
+    """One piece of an interval, open at ends of the range."""
 
     low: float
     high: float
@@ -72,34 +74,31 @@ Intervals = dict[float, list[Interval]]
 """The pieces of an interval, in increasing order, by confidence level."""
 
 
-def pieces_of(ends: list[float], open_low: bool, open_high: bool) -> list[Interval]:
-    """Pair ends in increasing order to intervals; the first and last end may be those of the range searched."""
-    pairs = list(zip(ends[::2], ends[1::2], strict=True))
+def pieces_of(node: np.ndarray, inside: np.ndarray, crossings: list[float]) -> list[Interval]:
+    """Pair crossings in increasing order to intervals.
+
+    With the ends of the range searched, the first and last of `node`, where these lie inside.
+    """
+    open_low, open_high = bool(inside[0]), bool(inside[-1])
+    every = [float(node[0])] * open_low + crossings + [float(node[-1])] * open_high
+    pairs = list(zip(every[::2], every[1::2], strict=True))
     return [Interval(a, b, open_low and i == 0, open_high and i == len(pairs) - 1) for i, (a, b) in enumerate(pairs)]
 
 
-def rise_of(level: float, parameters: int = 1, dof: float | None = None) -> float:
-    """Rise of the deviance at the ends of an interval: 1 at 68.27 % and 3.84 at 95 % for one parameter and known σ.
+def _changes(inside: np.ndarray) -> list[int]:
+    """Nodes after which a curve goes in or out."""
+    return np.nonzero(inside[1:] != inside[:-1])[0].tolist()
 
-    With known σ that is the quantile of χ² with one degree of freedom for each parameter followed. Where the size of the
-    errors is itself estimated, with `dof` degrees of freedom, it is larger, by the F distribution: exactly so for a
-    straight-line model.
-    """
+
+def rise_of(level: float, parameters: int = 1, dof: float | None = None) -> float:
+    """Rise of the deviance at ends of intervals, or of regions."""
     if dof is None:
         return float(chdtri(parameters, 1 - level))
     return parameters * float(fdtri(parameters, dof, level))
 
 
-class Curve(NamedTuple):
-    """A profile: nodes in increasing order, the deviance at each, and the best θ there."""
-
-    node: np.ndarray  # (g,), θ of the parameter followed
-    deviance: np.ndarray  # (g,)
-    theta: np.ndarray  # (g, p)
-
-
 def constrained(problem: Problem, held: np.ndarray, nodes: np.ndarray, starts: np.ndarray, *, enough: float = np.inf) -> Curve:
-    """Least deviance at every node with the `held` coordinates fixed there; the best of all starts.
+    """Least deviance at every node, with the `held` coordinates fixed there.
 
     Parameters
     ----------
@@ -124,7 +123,7 @@ def constrained(problem: Problem, held: np.ndarray, nodes: np.ndarray, starts: n
 
 
 def profile(problem: Problem, j: int, roots: list[Root], seeds: np.ndarray, grid: Grid | None = None) -> Curve:
-    """Profile of parameter j over its whole range, with nodes crowded around every root.
+    """Profile of parameter j, with nodes crowded around every root.
 
     Parameters
     ----------
@@ -159,7 +158,7 @@ def profile(problem: Problem, j: int, roots: list[Root], seeds: np.ndarray, grid
 
 
 def _predicted(node: np.ndarray, j: int, roots: list[Root], seeds: np.ndarray, problem: Problem) -> np.ndarray:
-    """Starts at each node, (g, s, p): every root moved along its ridge, and the other points."""
+    """Starts at each node, (g, s, p): roots along ridges, other points."""
     starts = [np.broadcast_to(seed, (len(node), problem.p)) for seed in seeds]
     for root in roots:
         moved = (node - root.theta[j])[:, None] * root.covariance[:, j] / root.covariance[j, j]
@@ -168,7 +167,7 @@ def _predicted(node: np.ndarray, j: int, roots: list[Root], seeds: np.ndarray, p
 
 
 def _from_neighbours(problem: Problem, held: np.ndarray, curve: Curve, enough: float) -> Curve:
-    """Minimise again at each node from the results of its neighbours, until no node that matters improves."""
+    """Minimise again from neighbouring nodes until no node that matters improves."""
     theta, deviance = curve.theta.copy(), curve.deviance.copy()
     look = np.arange(len(theta))
     while len(look):
@@ -189,28 +188,16 @@ def allowed(problem: Problem, j: int, curve: Curve, limits: dict[float, float]) 
     limits : dict
         Deviance allowed, by confidence level.
     """
-    found = {}
-    brackets = []
-    for level, limit in limits.items():
-        inside = curve.deviance <= limit
-        changes = np.nonzero(inside[1:] != inside[:-1])[0]
-        found[level] = inside, len(changes)
-        brackets += [(i, limit) for i in changes]
-    ends = _crossings(problem, j, curve, brackets)
-    result, used = {}, 0
-    for level, (inside, count) in found.items():
-        own = list(ends[used : used + count])
-        used += count
-        open_low, open_high = bool(inside[0]), bool(inside[-1])
-        own = [float(curve.node[0])] * open_low + own + [float(curve.node[-1])] * open_high
-        result[level] = pieces_of(own, open_low, open_high)
-    return result
+    inside = {level: curve.deviance <= limit for level, limit in limits.items()}
+    ends = iter(_crossings(problem, j, curve, [(i, limits[level]) for level, own in inside.items() for i in _changes(own)]))
+    return {level: pieces_of(curve.node, own, [next(ends) for _ in _changes(own)]) for level, own in inside.items()}
 
 
 def _crossings(problem: Problem, j: int, curve: Curve, brackets: list[tuple[int, float]]) -> list[float]:
-    """Find where the profile crosses each limit between node i and the next, all at once, by false position (Illinois).
+    """Find where a profile crosses limits, by false position (Illinois).
 
-    Of the root of its rise, which is straight where the profile is a parabola, and on the wall beyond the edge of a count.
+    Each between node i and the next, all at once. Of the root of its rise, which is straight where the profile is a parabola,
+    and on the wall beyond the edge of a count.
     """
     index = np.array([i for i, _ in brackets], dtype=int)
     limit, least = np.array([x for _, x in brackets]), curve.deviance.min()
@@ -241,7 +228,7 @@ def _crossings(problem: Problem, j: int, curve: Curve, brackets: list[tuple[int,
 
 
 def profile_2d(problem: Problem, i: int, j: int, first: np.ndarray, second: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    """Least deviance at every pair of values of parameters i and j, (a, b); `starts` (s, p) are points to begin from."""
+    """Least deviance at every pair (a, b), from `starts` (s, p)."""
     held = np.isin(np.arange(problem.p), (i, j))
     a, b = np.meshgrid(first, second, indexing="ij")
     nodes = np.stack([a.ravel(), b.ravel()] if i < j else [b.ravel(), a.ravel()], axis=1)
@@ -253,7 +240,7 @@ def profile_2d(problem: Problem, i: int, j: int, first: np.ndarray, second: np.n
 
 
 class Table(NamedTuple):
-    """Predictions at M values of one parameter, at each of which the other takes several."""
+    """Predictions at M values of one parameter, for several of another."""
 
     node: np.ndarray  # (M,), θ of the parameter
     best: np.ndarray  # (M,), row of the best value of the other
@@ -263,27 +250,24 @@ class Table(NamedTuple):
 
 
 def can_be_calibrated(problem: Problem) -> bool:
-    """Whether this is a fit of one or two parameters to values with Gaussian errors."""
+    """Whether one or two parameters are fitted to Gaussian values."""
     return problem.p <= 2 and problem.plain
 
 
-def to_be_simulated(
-    problem: Problem, wanted: str, minima: list[Root], deviance: float, pieces: dict[int, Intervals], best: np.ndarray
-) -> bool:
-    """Whether to simulate intervals: as requested, or where valleys compete or one is not parabolic.
+def to_be_simulated(problem: Problem, wanted: str, found: Found, pieces: dict[int, Intervals]) -> bool:
+    """Whether to simulate intervals: if requested, or where χ² would mislead.
+
+    By default it would where valleys compete, or one is not parabolic.
 
     Parameters
     ----------
     problem : Problem
     wanted : {"auto", "profile", "calibrated"}
-    minima : list of Root
-        Best first.
-    deviance : float
-        The least.
+    found : Found
     pieces : dict
         Profile-likelihood intervals of each θ_j.
-    best : array, shape (p,)
     """
+    minima, deviance = found.minima, found.deviance
     if wanted == "calibrated":
         return True
     if wanted == "profile" or not can_be_calibrated(problem) or not minima:
@@ -292,12 +276,12 @@ def to_be_simulated(
         return False
     if sum(one.deviance <= deviance + SLACK for one in minima) > 1:
         return True
-    for j, found in pieces.items():
-        level, last = max(found.items())
+    for j, own in pieces.items():
+        level, last = max(own.items())
         if not last or minima[0].singular[j]:
             return False
         reach = np.sqrt(chdtri(1, 1 - level) * minima[0].covariance[j, j])
-        off = (best[j] - last[0].low) / reach, (last[-1].high - best[j]) / reach
+        off = (found.theta[j] - last[0].low) / reach, (last[-1].high - found.theta[j]) / reach
         if max(off) > STRAIGHT or min(off) < 1 / STRAIGHT:
             return True
     return False
@@ -310,7 +294,9 @@ def calibrated(
     curves: dict[int, Curve] | None = None,
     seed: int = 0,
 ) -> dict[int, tuple[Intervals, tuple[float, float]]]:
-    """Simulate the intervals of each θ_j, and the shares of estimates within 1 and 1.96 standard errors of its best value.
+    """Simulate the intervals of each θ_j.
+
+    With the shares of estimates within 1 and 1.96 standard errors of its best value.
 
     Parameters
     ----------
@@ -332,7 +318,7 @@ def calibrated(
 def _simulated(
     problem: Problem, levels: tuple[float, ...], j: int, table: Table, seed: int
 ) -> tuple[Intervals, tuple[float, float]]:
-    """Simulate measurements at each value of θ_j and fit them by the table."""
+    """Simulate measurements at each θ_j and fit them by the table."""
     deviance = (table.off**2).sum(axis=1)
     rise = np.minimum.reduceat(deviance, np.searchsorted(table.column, np.arange(len(table.node)))) - deviance.min()
     candidates = np.nonzero(rise < HOPELESS)[0]
@@ -353,8 +339,8 @@ def _simulated(
 
 
 def _residuals(problem: Problem, theta: np.ndarray) -> np.ndarray:
-    """Residuals at points (B, p); very large instead of infinite where the front never stops."""
-    found, _ = problem.residuals(problem.predictions(theta), theta)
+    """Residuals at points (B, p); very large where the front never stops."""
+    found = problem.residuals(theta)
     return np.where(np.isfinite(found), found, 1e9)
 
 
@@ -378,7 +364,7 @@ def _along(problem: Problem) -> Table:
 
 
 def _across(problem: Problem, j: int, curve: Curve) -> Table:
-    """Choose values of θ_j along its profile, and at each those of the other parameter that are not hopeless."""
+    """Choose values of θ_j along its profile, and of the other."""
     near = curve.deviance <= curve.deviance.min() + HOPELESS
     profile = np.nonzero(near)[0]
     profile = np.arange(max(profile[0] - 1, 0), min(profile[-1] + 2, len(near)))
@@ -405,10 +391,11 @@ def _across(problem: Problem, j: int, curve: Curve) -> Table:
 
 
 def _not_hopeless(problem: Problem, j: int, node: np.ndarray, ridge: np.ndarray, limit: float) -> list[np.ndarray]:
-    """Values of the other parameter at each of θ_j with a deviance below the limit, and on the ridge; in increasing order.
+    """Values of the other parameter at each θ_j, in increasing order.
 
-    They end parts of its range that are halved until the predictions in each change by `APART`; a part is left out
-    if its deviance is above the limit everywhere, should the predictions follow a path no longer than `PATH` times straight.
+    Those with a deviance below the limit, and on the ridge. They end parts of its range that are halved until the predictions
+    in each change by `APART`; a part is left out if its deviance is above the limit everywhere, should the predictions follow a
+    path no longer than `PATH` times straight.
     """
     low, high, count = problem.parameters.low[1 - j], problem.parameters.high[1 - j], len(node)
     every = np.linspace(low, high, NODES)
@@ -437,7 +424,7 @@ def _not_hopeless(problem: Problem, j: int, node: np.ndarray, ridge: np.ndarray,
 
 
 def _points(node: np.ndarray, others: list[np.ndarray], j: int) -> np.ndarray:
-    """Points (G, 2) of every value of θ_j with each of the other's values there."""
+    """Points (G, 2) of every θ_j with each of the other's values."""
     theta = np.empty((sum(len(y) for y in others), 2))
     theta[:, j] = np.repeat(node, [len(y) for y in others])
     theta[:, 1 - j] = np.concatenate(others)
@@ -445,7 +432,7 @@ def _points(node: np.ndarray, others: list[np.ndarray], j: int) -> np.ndarray:
 
 
 def _refitted(table: Table, true: int, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rise of D at the true value above its minimum, and the value at that minimum, per simulation."""
+    """Rise of D at the truth, and best value, per simulation."""
     # single precision is enough: the table is far coarser
     off = (table.off - table.off[table.best[true]]).clip(-1e6, 1e6).astype(np.float32)
     # |y − μ|² = |ε|² − 2 ε·off + |off|², and |ε|² is the same everywhere; one product, a simulation per row
@@ -461,7 +448,7 @@ def _refitted(table: Table, true: int, noise: np.ndarray) -> tuple[np.ndarray, n
 
 
 def _standard_errors(problem: Problem, j: int, theta: np.ndarray) -> np.ndarray:
-    """Standard error of θ_j from the information at each point; inf where that is singular."""
+    """Standard error of θ_j at each point; inf where it is undetermined."""
     information = problem(theta, order=1).metric
     regular = np.linalg.cond(information) < 1e14
     found = np.full(len(theta), np.inf)
@@ -472,21 +459,17 @@ def _standard_errors(problem: Problem, j: int, theta: np.ndarray) -> np.ndarray:
 def _below(node: np.ndarray, excess: np.ndarray) -> list[Interval]:
     """Where `excess` is not positive, its ends by straight lines."""
     inside = excess <= 0
-    change = np.nonzero(inside[1:] != inside[:-1])[0]
-    ends = [
-        float(node[i] + (node[i + 1] - node[i]) * excess[i] / (excess[i] - excess[i + 1]))
-        for i in change
-    ]  # fmt: skip
-    open_low, open_high = bool(inside[0]), bool(inside[-1])
-    ends = [float(node[0])] * open_low + ends + [float(node[-1])] * open_high
-    return pieces_of(ends, open_low, open_high)
+    step = np.diff(node)
+    return pieces_of(
+        node, inside, [float(node[i] + step[i] * excess[i] / (excess[i] - excess[i + 1])) for i in _changes(inside)]
+    )
 
 
 # --- by counts --------------------------------------------------------------------------------------------------------
 
 
 def allowed_by_counts(problem: Problem) -> tuple[list[Interval], list[int]]:
-    """Values of the parameter under which every count holds, as pieces in increasing order.
+    """Values under which every count holds, as pieces in increasing order.
 
     If there are none: the fewest measurements without which there would be some, by index.
 
@@ -518,7 +501,4 @@ def allowed_by_counts(problem: Problem) -> tuple[list[Interval], list[int]]:
     if not inside.any():
         best = int(np.argmax(holds.sum(axis=1)))
         return [], data.measurement[~holds[best]].tolist()
-    starts = np.nonzero(inside & ~np.concatenate([[False], inside[:-1]]))[0]
-    stops = np.nonzero(inside & ~np.concatenate([inside[1:], [False]]))[0]
-    own = [end for start, stop in zip(starts, stops, strict=True) for end in (float(ends[start]), float(ends[stop + 1]))]
-    return pieces_of(own, bool(inside[0]), bool(inside[-1])), []
+    return pieces_of(ends, inside, ends[1:-1][_changes(inside)].tolist()), []

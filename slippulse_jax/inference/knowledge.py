@@ -31,7 +31,7 @@ from slippulse_jax.inference.parameters import STIFFNESSES, Parameter, Parameter
 from slippulse_jax.shown import format_number
 
 if TYPE_CHECKING:
-    from slippulse_jax.inference.fitted import Fitted
+    from slippulse_jax.inference.result import FitResult
 
 Kind = Literal["length", "whole"]
 
@@ -197,7 +197,7 @@ class Knowledge:
         return known._marked(problem.parameters, lambda middle: middle[:, None])
 
     @classmethod
-    def from_fit(cls, result: "Fitted", *, nodes: int = NODES) -> "Knowledge":
+    def from_fit(cls, result: "FitResult", *, nodes: int = NODES) -> "Knowledge":
         """Take the profile likelihood of the stiffness of a fit.
 
         With one parameter this is the posterior of `from_measurements`; with several it approximates the marginal posterior.

@@ -1,4 +1,4 @@
-"""Log density of the measurements and priors over the fitted θ: the one function that every inference is made of.
+"""Log density of measurements and priors, of which every inference consists.
 
 `log_density(theta, problem)` is traced by JAX: −ln p of each datum given its prediction (`length_cost`, `count_cost`,
 `at_least_cost`), summed with the Gaussian priors. A fit evaluates it for thousands of θ at once by calling the `Problem`: the
@@ -30,6 +30,7 @@ from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.measurements import Gauges, Measurements
 from slippulse_jax.inference.observables import OBSERVED, predicted
 from slippulse_jax.inference.parameters import Linear, ParameterSet
+from slippulse_jax.shown import TIED, listed, plural
 
 STUDENT_DOF = 4.0
 SHARPEST = 1e-3
@@ -57,7 +58,7 @@ EXPECTED = {"normal": 1.0, "student": (STUDENT_DOF + 1) * float(digamma((STUDENT
 
 
 def loss_of(half_square: ArrayLike, loss: Loss = "normal") -> Array:
-    """Loss as a function of r²/2; its derivative is the weight of a residual."""
+    """Loss as a function of r²/2; its derivative weights a residual."""
     u = jnp.asarray(half_square)
     return (STUDENT_DOF + 1) / 2 * jnp.log1p(2 * u / STUDENT_DOF) if loss == "student" else u
 
@@ -66,16 +67,17 @@ def loss_of(half_square: ArrayLike, loss: Loss = "normal") -> Array:
 
 
 def length_cost(mu: Array, value: ArrayLike, sigma: ArrayLike, loss: Loss = "normal") -> Array:
-    """−ln p of a measured value, minus that of a perfect match; inf where the prediction is inf."""
+    """−ln p of a value, beyond a perfect match's; inf for inf."""
     finite = jnp.isfinite(mu)
     r = (jnp.where(finite, mu, value) - value) / sigma
     return jnp.where(finite, loss_of(r**2 / 2, loss), jnp.inf)
 
 
 def count_cost(mu: Array, value: ArrayLike, sigma: ArrayLike, sharpest: float = SHARPEST) -> Array:
-    """−ln[Φ((n − μ)/σ) − Φ((n − 1 − μ)/σ)]: n contacts counted, a length between n − 1 and n with a blur σ.
+    """−ln p of n counted contacts.
 
-    A count of 1 is any length up to 1, 0 included: contact 0 breaks even where no domino starts. It costs −ln Φ((1 − μ)/σ).
+    A length between n − 1 and n: −ln[Φ((n − μ)/σ) − Φ((n − 1 − μ)/σ)], with a blur σ. A count of 1 is any length up to 1, 0
+    included: contact 0 breaks even where no domino starts. It costs −ln Φ((1 − μ)/σ).
     """
     blur = jnp.maximum(sigma, sharpest)
     finite = jnp.isfinite(mu)
@@ -91,13 +93,13 @@ def count_cost(mu: Array, value: ArrayLike, sigma: ArrayLike, sharpest: float = 
 
 
 def at_least_cost(mu: Array, value: ArrayLike, sigma: ArrayLike) -> Array:
-    """−ln Φ((μ − value)/σ): a front that ran past `value`; 0 for a prediction of inf."""
+    """−ln Φ((μ − value)/σ): a front past `value`; 0 for inf."""
     finite = jnp.isfinite(mu)
     return jnp.where(finite, -log_ndtr((jnp.where(finite, mu, value) - value) / jnp.maximum(sigma, SHARPEST)), 0)
 
 
 def log_ndtr(x: Array) -> Array:
-    """Logarithm of the normal distribution function; below x = −20 by its series, whose derivatives are right however far."""
+    """Logarithm of the normal distribution function, far down by its series."""
     is_far = x < -20
     far = jnp.where(is_far, x, -20.0)
     series = jnp.ones_like(far)
@@ -118,7 +120,9 @@ def _cost(kind: str, loss: Loss) -> Callable[..., Array]:
 def data_log_density(
     mu: ArrayLike, value: ArrayLike, sigma: ArrayLike, kind: str = "length", exact: bool = False
 ) -> np.ndarray:
-    """Log density of data given their predictions, without the constants; arrays that broadcast, NumPy float64.
+    """Log density of data given their predictions, without the constants.
+
+    Arrays that broadcast, NumPy float64.
 
     Parameters
     ----------
@@ -144,7 +148,7 @@ def _values(kind: str, exact: bool) -> Kernel:
 
 @cache
 def _derivatives(kind: str, loss: Loss) -> Kernel:
-    """Cost of data (μ, value, σ), its first derivative in μ, the positive part of the second, and the second."""
+    """Cost of data, its slope, and positive and full bend in μ."""
     cost = _cost(kind, loss)
 
     def one(mu: Array, value: Array, sigma: Array) -> tuple[Array, ...]:
@@ -165,7 +169,7 @@ def _derivatives(kind: str, loss: Loss) -> Kernel:
 
 
 class Observations(NamedTuple):
-    """The data of one observable: n data of R replicates each; R = 1 for the measurements themselves."""
+    """Data of one observable: n of R replicates, 1 as measured."""
 
     kind: np.ndarray  # (n,) of "length", "whole", "at_least"
     value: np.ndarray  # (R, n), in λc, m or N/m; the count, or the length run past
@@ -180,7 +184,7 @@ class Observations(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """−ln p of every datum, shape (B, n), and its derivatives in the prediction μ."""
+    """−ln p of every datum, (B, n), and its derivatives in μ."""
 
     value: np.ndarray
     slope: np.ndarray  # ∂/∂μ
@@ -221,14 +225,6 @@ def _costs(mu: np.ndarray, value: np.ndarray, data: Observations, loss: Loss) ->
     return columns
 
 
-class Predicted(NamedTuple):
-    """Predictions of n data at B points, and their derivatives in θ."""
-
-    value: np.ndarray  # (B, n)
-    first: np.ndarray | None = None  # (B, n, p)
-    second: np.ndarray | None = None  # (B, n, p, p)
-
-
 class Evaluation(NamedTuple):
     """Values at B points; derivatives that were not requested are empty."""
 
@@ -240,8 +236,12 @@ class Evaluation(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Problem:
-    """Measurements and parameters: everything the log density depends on apart from θ."""
+    """Measurements and parameters: everything the log density depends on apart from θ.
 
+    The standard errors that a fit uses are those of `observed`: as stated, enlarged by `widened`, or scaled by `with_sigma`.
+    """
+
+    measurements: Measurements
     parameters: ParameterSet
     observed: tuple[Observations, ...]  # of the lengths first
     loss: Loss
@@ -267,16 +267,17 @@ class Problem:
 
     @property
     def exact_values(self) -> bool:
-        """Whether every datum is a value with an error, none a count or a front without arrest."""
+        """Whether every datum is a value with an error."""
         return self.known == self.count
 
     def testable(self, theta: np.ndarray) -> int | None:
-        """Degrees of freedom of the deviance beyond `perfect` at its minimum θ; None where its distribution is not known.
+        """Degrees of freedom of the deviance at its minimum θ.
 
-        Of values and priors it is χ², with a degree for each less one for each parameter. That holds beside counts and fronts
-        without arrest too, if these cost nothing at the minimum. If some do, the degrees of freedom are an upper bound: none is
-        subtracted for parameters, and one with an error adds two, since a datum of probability below P occurs with a
-        probability of at most P (2 P for counts, which are off either way), so that −2 ln P is at most χ² of two degrees.
+        Beyond `perfect`; None where its distribution is not known. Of values and priors it is χ², with a degree for each less
+        one for each parameter. That holds beside counts and fronts without arrest too, if these cost nothing at the minimum. If
+        some do, the degrees of freedom are an upper bound: none is subtracted for parameters, and one with an error adds two,
+        since a datum of probability below P occurs with a probability of at most P (2 P for counts, which are off either way),
+        so that −2 ln P is at most χ² of two degrees.
         """
         if self.loss != "normal":
             return None
@@ -286,19 +287,21 @@ class Problem:
         dof = self.known + 2 * int((binding & (data.sigma > 0)).sum()) if binding.any() else self.known - self.p
         return dof if dof > 0 else None
 
-    def p_value(self, theta: np.ndarray, deviance: float) -> float | None:
-        """Probability of so large a deviance at its minimum θ, or its upper bound; None where `testable` has none."""
-        dof = self.testable(theta)
+    def p_value(self, deviance: float, dof: int | None) -> float | None:
+        """Probability of so large a deviance, with `testable` degrees of freedom."""
         return None if dof is None else float(chdtrc(dof, deviance - self.perfect))
 
     def accepts(self, theta: np.ndarray, deviance: float, most: float = np.inf) -> bool:
-        """Whether the data fit at a minimum: by p, or where none is known by a deviance of `most` at the most."""
-        p = self.p_value(theta, deviance) if np.isfinite(deviance) else 0.0
+        """Whether the data fit at a minimum.
+
+        By p, or where none is known by a deviance of `most` at the most.
+        """
+        p = self.p_value(deviance, self.testable(theta)) if np.isfinite(deviance) else 0.0
         return deviance <= most if p is None else p >= IMPROBABLE
 
     @property
     def perfect(self) -> float:
-        """Deviance of data that the model meets: 0, but for counts with an error, since another might have been counted."""
+        """Deviance where the model meets all: 0, but for blurred counts."""
         return 2 * float(self._least.sum())
 
     @property
@@ -310,7 +313,7 @@ class Problem:
 
     @property
     def known(self) -> int:
-        """Number of values with an error, the priors among them: not of counts and fronts without arrest."""
+        """Number of values and priors; not of counts and limits."""
         return self.count - int((self.lengths.kind != "length").sum())
 
     def __call__(self, theta: Float[np.ndarray, "B p"], lane: np.ndarray | None = None, order: int = 0) -> Evaluation:
@@ -333,16 +336,14 @@ class Problem:
         return -log_density(theta, self)
 
     def _evaluate(self, theta: np.ndarray, lane: np.ndarray, order: int) -> Evaluation:
-        return self._of([self._predictions(data, theta, order) for data in self.observed], theta, lane)
-
-    def _of(self, predictions: list[Predicted], theta: np.ndarray, lane: np.ndarray) -> Evaluation:
-        """Sum the cost of predictions (B, n, …) over the observables; with derivatives gradient, metric and curvature too."""
+        """Sum the cost over priors and observables, with its derivatives."""
         off = theta - self.prior_mean[lane]
         value = (self.prior_weight * off**2).sum(axis=1) / 2
         gradient = self.prior_weight * off
         metric = np.broadcast_to(np.diag(self.prior_weight), (len(theta), self.p, self.p)).copy()
         curvature = metric.copy()
-        for data, (mu, first, second) in zip(self.observed, predictions, strict=True):
+        for data in self.observed:
+            mu, first, second = self._predictions(data, theta, order)
             cost = terms(mu, data, lane, self.loss)
             value = value + cost.value.sum(axis=1)
             if first is None:
@@ -352,30 +353,35 @@ class Problem:
             metric = metric + np.matmul(across * cost.curvature[:, None, :], first)
             if second is not None:
                 curvature += np.matmul(across * cost.second[:, None, :], first) + np.einsum("bn,bnpq->bpq", cost.slope, second)
-        order = sum(x is not None for x in predictions[0][1:])
         return Evaluation(*(value, gradient, metric, curvature)[: (1, 3, 4)[order]])
 
-    def _predictions(self, data: Observations, theta: np.ndarray, order: int) -> Predicted:
-        """μ of every datum, (B, n), and its derivatives in θ except those held, (B, n, p) and (B, n, p, p)."""
+    def _predictions(
+        self, data: Observations, theta: np.ndarray, order: int
+    ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+        """Predict every datum, (B, n), with derivatives in θ.
+
+        Of shapes (B, n, p) and (B, n, p, p). Those in θ that are held are 0; those above `order` None.
+        """
         p, free = self.p, np.arange(self.p) if self.held is None else np.flatnonzero(~self.held)
         if not order or not len(free):
             (mu,) = self._along(data, theta, None)
-            return Predicted(mu, *(np.zeros((*mu.shape, *[p] * k)) for k in range(1, order + 1)))
+            first, second = (np.zeros((*mu.shape, *[p] * k)) if k <= order else None for k in (1, 2))
+            return mu, first, second
         pairs = list(itertools.combinations(range(len(free)), 2)) if order == 2 else []
         axes = np.eye(p)[free]
         mu, slope, bend = self._along(data, theta, np.array([*axes, *(axes[i] + axes[j] for i, j in pairs)]))
         first = np.zeros((*mu.shape, p))
         first[..., free] = np.moveaxis(slope[: len(free)], 0, -1)
         if order == 1:
-            return Predicted(mu, first)
+            return mu, first, None
         second = np.zeros((*mu.shape, p, p))
         second[..., free, free] = np.moveaxis(bend[: len(free)], 0, -1)
         for (i, j), both in zip(pairs, bend[len(free) :], strict=True):  # d²/dθ_i dθ_j from the bend along both
             second[..., free[i], free[j]] = second[..., free[j], free[i]] = (both - bend[i] - bend[j]) / 2
-        return Predicted(mu, first, second)
+        return mu, first, second
 
     def _along(self, data: Observations, theta: np.ndarray, directions: np.ndarray | None) -> tuple[np.ndarray, ...]:
-        """μ of every datum, (B, n); and its first and second derivative along D directions in θ, (D, B, n)."""
+        """μ, (B, n), and its two derivatives along directions, (D, B, n)."""
         inputs, names = data.inputs.at(theta), data.inputs.names
         lanes, distinct = inputs.poisson.shape
         scale, offset = np.exp(data.scale(theta)), data.offset(theta)
@@ -397,7 +403,7 @@ class Problem:
 
     @property
     def plain(self) -> bool:
-        """Whether the deviance is a sum of squares: values with known Gaussian errors."""
+        """Whether the deviance is a sum of squares of Gaussian values."""
         return self.exact_values and self.loss == "normal"
 
     @property
@@ -405,40 +411,63 @@ class Problem:
         """``chi-squared``, where it is one."""
         return "chi-squared" if self.plain else "deviance"
 
+    def of_inputs(self, theta: np.ndarray) -> str:
+        """State the part of the deviance from fitted inputs and priors.
+
+        It is that of values off their means, and no residual; empty where there is none.
+        """
+        parts = self.prior_weight * (theta - self.prior_mean[0]) ** 2
+        pulled = dict.fromkeys(one.symbol for one, x in zip(self.parameters.free, parts, strict=True) if x > 0.1 * parts.sum())
+        return f" ({parts.sum():.3g} of it from the fitted {listed([*pulled])})" if f"{parts.sum():.2f}" != "0.00" else ""
+
+    def tested(self, p_value: float | None, dof: int | None) -> str:
+        """State ``for 5 degrees of freedom (p = 0.82)``.
+
+        The probability alone where `testable` gives a bound on it.
+        """
+        p = "p < 1e-300" if not p_value or p_value < 1e-300 else f"p = {p_value:.2g}".replace("e-0", "e-")
+        p = p.replace(" ", TIED)
+        if (dof or 0) > self.known - self.p:
+            return f" ({p.replace('=', 'at most')})"
+        return f" for {plural(dof or 0, 'degree')} of freedom ({p})"
+
     @property
     def only_counts(self) -> bool:
-        """Whether all data are counts or fronts without arrest, without errors, and one parameter without a prior is fitted."""
+        """Whether one parameter is fitted to counts alone.
+
+        Or to fronts without arrest, all without errors, and without a prior.
+        """
         data, *others = self.observed
         exact = not (data.kind == "length").any() and not data.sigma.any()
         return self.p == 1 and not others and exact and not self.prior_weight.any()
 
     @property
     def gauged(self) -> bool:
-        """Whether gauges were read, whose fields change in steps from contact to contact."""
+        """Whether gauges were read, whose fields step from contact to contact."""
         return any(data.observable in READINGS for data in self.observed)
 
     def predictions(self, theta: np.ndarray) -> np.ndarray:
-        """Predictions for the data of all observables, one after another, shape (B, N)."""
+        """Predictions for the data of all observables in turn; (B, N)."""
         at_once = max(1, ELEMENTS // max(len(data.rows) for data in self.observed))
         parts = [theta[start : start + at_once] for start in range(0, max(len(theta), 1), at_once)]
         return np.concatenate(
-            [np.concatenate([self._predictions(data, part, 0).value for data in self.observed], axis=1) for part in parts]
+            [np.concatenate([self._predictions(data, part, 0)[0] for data in self.observed], 1) for part in parts]
         )
 
-    def residuals(self, mu: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals in σ, priors last, (B, N + p), and 1/σ of the data, (B, N), of a `plain` problem."""
+    def residuals(self, theta: np.ndarray) -> np.ndarray:
+        """Residuals in σ, priors last, if `plain`; shape (B, N + p)."""
         value = np.concatenate([data.value[0] for data in self.observed])
         sigma = np.concatenate([data.sigma for data in self.observed])
         known = np.sqrt(self.prior_weight) * (theta - self.prior_mean[0])
-        return np.concatenate([(mu - value) / sigma, known], axis=1), np.broadcast_to(1 / sigma, mu.shape)
+        return np.concatenate([(self.predictions(theta) - value) / sigma, known], axis=1)
 
     def predict(self, theta: np.ndarray, observable: str = "length") -> np.ndarray:
-        """Predictions for the data of one observable, shape (B, n), in λc, m or N/m."""
+        """Predictions for one observable, (B, n), in λc, m or N/m."""
         (data,) = (one for one in self.observed if one.observable == observable)
-        return self._predictions(data, np.atleast_2d(theta), 0).value
+        return self._predictions(data, np.atleast_2d(theta), 0)[0]
 
     def information(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Fisher information at one θ, shape (p, p), and the scaled Jacobian that makes it up, (n + priors, p)."""
+        """Fisher information, (p, p), and its scaled Jacobian, (n + priors, p)."""
         theta = np.atleast_2d(theta)
         rows = []
         for data in self.observed:
@@ -450,8 +479,13 @@ class Problem:
         jacobian = np.concatenate(rows)
         return jacobian.T @ jacobian, jacobian
 
+    def widened(self, off: np.ndarray) -> "Problem":
+        """Add an error of every length, in λc, in quadrature."""
+        lengths = self.lengths._replace(sigma=np.hypot(self.lengths.sigma, off))
+        return dataclasses.replace(self, observed=(lengths, *self.observed[1:]))
+
     def with_sigma(self, factor: float, *, of_lengths: bool) -> "Problem":
-        """The problem with σ of all data, or of lengths alone, `factor` times as large."""
+        """Scale σ of all data, or of lengths alone, by a factor."""
 
         def scaled(data: Observations) -> Observations:
             return data._replace(sigma=factor * data.sigma)
@@ -460,14 +494,14 @@ class Problem:
         return dataclasses.replace(self, observed=(scaled(self.lengths), *kept))
 
     def blurred(self, width: float) -> "Problem":
-        """The problem with σ of counts and fronts without arrest at least so large, in λc; itself if they are already."""
+        """Blur counts and limits by at least `width` λc; itself if blurred."""
         data = self.lengths
         sharp = (data.kind != "length") & (data.sigma < width)
         blunt = data._replace(sigma=np.where(sharp, width, data.sigma))
         return dataclasses.replace(self, observed=(blunt, *self.observed[1:])) if sharp.any() else self
 
     def with_replicates(self, values: dict[str, np.ndarray], weights: dict[str, np.ndarray], means: np.ndarray) -> "Problem":
-        """The problem with R other sets of numbers measured: by observable, shape (R, n), and means of priors, (R, p)."""
+        """Replace data, (R, n) by observable, and prior means, (R, p)."""
         observed = tuple(
             data._replace(value=values[data.observable], weight=weights[data.observable]) for data in self.observed
         )
@@ -510,13 +544,13 @@ def _log_likelihood(theta: Array, problem: Problem, data: Observations) -> Array
 
 
 def _sites(problem: Problem, data: Observations) -> int:
-    """Number of contacts whose fields are traced: eight times what gauges and counts need in the middle of the range."""
+    """Number of contacts traced: eight times those needed amid the range."""
     middle = data.inputs.at((problem.parameters.low + problem.parameters.high) / 2)
     return 64 + 8 * int(max(np.exp(middle.get("log_position")).max(), middle.get("counted").max()))
 
 
 def make_problem(m: Measurements, parameters: ParameterSet, loss: Loss, sigma: np.ndarray) -> Problem:
-    """Set up the log density of these measurements; `sigma` is the standard error of each length, in λc."""
+    """Set up the density of measurements; `sigma` of lengths, in λc."""
     every = np.arange(len(m))
     observed = [_observations(parameters, "length", every, m.length, sigma, parameters.inputs, np.array(m.kind))]
     for observable in ("displacement", "force"):
@@ -530,6 +564,7 @@ def make_problem(m: Measurements, parameters: ParameterSet, loss: Loss, sigma: n
         observed += [_readings(m, m.gauges, parameters, name) for name in READINGS if m.gauges.there(name).any()]
     prior_sigma = np.array([one.prior_sigma for one in parameters.free])
     return Problem(
+        measurements=m,
         parameters=parameters,
         observed=tuple(observed),
         loss=loss,
@@ -547,7 +582,7 @@ def _observations(
     inputs: Inputs,
     kind: np.ndarray | None = None,
 ) -> Observations:
-    """Collect the data of one observable, with each distinct input of the model once."""
+    """Collect the data of one observable, with each distinct input once."""
     n = len(rows)
     given = [inputs.get(name) for name in inputs.names]
     key = np.concatenate([np.column_stack([one.base, one.slope]) for one in given], axis=1)

@@ -100,7 +100,10 @@ def minimise(
 
 
 def descend(problem: Problem, start: np.ndarray, low: np.ndarray, high: np.ndarray, **options: Any) -> Descents:
-    """Minimise a deviance, of several parameters through ever sharper counts and limits, whose edges no step follows."""
+    """Minimise a deviance, through ever sharper counts and limits.
+
+    With several parameters: no step follows the edges of counts.
+    """
     sharp = problem.p > 1 and problem.blurred(BLURS[0]) is not problem
     for blur in BLURS if sharp else ():
         first = options | {"method": "lm", "max_steps": GAUSS_NEWTON_STEPS - 1, "tolerance": BLURRED}
@@ -126,7 +129,7 @@ def _levenberg_marquardt(
     *,
     enough: float,
 ) -> Descents:
-    """Take damped steps; each lane has its own damping, scaled by the largest metric so far (Moré)."""
+    """Take damped steps, each lane with its own damping (Moré)."""
     value, gradient, metric = _first_order(objective, theta, lane)
     damping, size, bend = np.full(len(theta), FIRST_DAMPING), np.zeros_like(theta), np.zeros_like(metric)
     ends = np.where(np.isfinite(value), Convergence.NOT_CONVERGED, Convergence.NO_LENGTH)
@@ -200,7 +203,7 @@ def _without(g: np.ndarray, m: np.ndarray, stuck: np.ndarray) -> tuple[np.ndarra
 
 
 def _step(g: np.ndarray, m: np.ndarray, size: np.ndarray, damping: np.ndarray) -> np.ndarray:
-    """−(M + λ diag(size))⁻¹ g, in units in which every diagonal element is about one."""
+    """−(M + λ diag(size))⁻¹ g, in units of the diagonal."""
     unit = np.sqrt(np.where(size > 0, size, 1))
     scaled = m / unit[:, :, None] / unit[:, None, :]
     p = g.shape[1]
@@ -212,12 +215,12 @@ def _step(g: np.ndarray, m: np.ndarray, size: np.ndarray, damping: np.ndarray) -
 
 
 def _decrement(g: np.ndarray, m: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Newton decrement g·M⁻¹g: twice the fall of the value expected from the quadratic model."""
+    """Newton decrement g·M⁻¹g: twice the fall that is expected."""
     return -(g * _step(g, m, size, np.full(len(g), 1e-12))).sum(axis=1)
 
 
 def _positive(curvature: np.ndarray, metric: np.ndarray) -> np.ndarray:
-    """The second derivative with its negative directions turned upward, so that a step leads downhill from a saddle too."""
+    """Turn negative curvature upward, so that steps leave saddles downhill."""
     unit = np.sqrt(np.maximum(np.einsum("bpp->bp", metric), np.abs(np.einsum("bpp->bp", curvature))))
     unit = np.where(unit > 0, unit, 1)
     values, vectors = np.linalg.eigh(curvature / unit[:, :, None] / unit[:, None, :])
@@ -226,7 +229,7 @@ def _positive(curvature: np.ndarray, metric: np.ndarray) -> np.ndarray:
 
 
 def _by_optax(method: Method, objective: Any, start: np.ndarray, low: np.ndarray, high: np.ndarray, max_steps: int) -> Descents:
-    """Descend by optax from every start at once, over z of θ = low + (high − low)/(1 + e^−z)."""
+    """Descend by optax from every start, over the logit of θ."""
     import jax
     import jax.numpy as jnp
     import optax

@@ -1,4 +1,4 @@
-"""The function that a fit minimises, −ln(likelihood × prior), for optimisers and samplers of one's own."""
+"""The function that a fit minimises, for optimisers of one's own."""
 
 import dataclasses
 import functools
@@ -27,16 +27,17 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Objective:
-    """−ln(likelihood × prior) of measurements, as a JAX function of {name: θ}; half the deviance of a fit.
+    """−ln(likelihood × prior) as a JAX function of {name: θ}.
 
-    θ is the logarithm of a positive parameter, else the parameter itself. It has first and second derivatives in every mode (of
-    whole events and blocks, which are tables, the first), and can be compiled and mapped.
+    Half the deviance of a fit of the same measurements. θ is the logarithm of a positive parameter, else the parameter itself.
+    It has first and second derivatives in every mode (of whole events and blocks, which are tables, the first), and can be
+    compiled and mapped.
     """
 
     problem: Problem
 
     def __call__(self, theta: Mapping[str, Any]) -> Float[Array, ""]:
-        """Evaluate at θ by name; a value of a perfect match costs nothing."""
+        """Evaluate at θ by name; a perfect match costs nothing."""
         if unknown := [name for name in theta if name not in self.names]:
             raise ValueError(
                 f"theta: {unknown[0]!r} is not fitted{did_you_mean(unknown[0], self.names)}: {', '.join(self.names)}"
@@ -51,26 +52,26 @@ class Objective:
 
     @property
     def names(self) -> list[str]:
-        """Names of θ: what is asked for, and inputs with an error of their own."""
+        """Names of θ, among them inputs with errors of their own."""
         return list(self.problem.parameters.names)
 
     @property
     def bounds(self) -> dict[str, tuple[float, float]]:
-        """Range of each θ that `fit` searches; the function itself has no bounds."""
+        """Range of each θ that `fit` searches; the function has none."""
         return {one.label: (one.low, one.high) for one in self.problem.parameters.free}
 
     @property
     def sigma(self) -> np.ndarray:
-        """Standard error of each length in λc, shape (n,); 0 of a count without one."""
+        """Standard error of each length in λc, (n,); 0 if none."""
         return self.problem.lengths.sigma
 
     def start(self) -> dict[str, Array]:
-        """θ of the least value on a grid over the range; of a sample if there are many."""
+        """θ of the least value on a grid or in a sample."""
         best = lowest_look(self.problem)
         return {name: jnp.asarray(x) for name, x in zip(self.names, best, strict=True)}
 
     def values(self, theta: Mapping[str, Any]) -> dict[str, float]:
-        """Values of the parameters asked for, in their units, as a fit has them."""
+        """Values of the parameters asked for, in their units."""
         return self.problem.parameters.values(np.array([float(theta[name]) for name in self.names]))
 
 
@@ -115,19 +116,6 @@ def objective(
     if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
         what = "objective in single precision: flat to rounding near its minimum. Use jax.enable_x64(True)"
         warnings.warn(what, RuntimeWarning, stacklevel=2)
-    return Objective(problem_of(m, wanted_parameters(free, bounds, fixed), loss, event=event, body=body))
-
-
-def problem_of(
-    m: Measurements,
-    wanted: list[Parameter],
-    loss: Loss,
-    *,
-    size_known: bool = True,
-    event: MeasuredEvent | None = None,
-    body: Body | None = None,
-) -> Problem:
-    """Set up the density of measurements; `size_known` says whether their σ are standard errors, or only their ratios."""
     check_choice("loss", loss, Loss)
-    parameters = parameter_set(m, with_errors_of_measuring(m, wanted, size_known=size_known), event, body)
-    return make_problem(m, parameters, loss, m.stated_sigma)
+    wanted = with_errors_of_measuring(m, wanted_parameters(free, bounds, fixed), size_known=True)
+    return Objective(make_problem(m, parameter_set(m, wanted, event, body), loss, m.stated_sigma))

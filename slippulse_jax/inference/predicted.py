@@ -1,17 +1,20 @@
-"""Curves of a fit: predicted lengths at heights that were not measured, and fields along the interface."""
+"""Curves of a fit: lengths over heights, fields along the interface."""
 
 import dataclasses
 import functools
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
-from slippulse_jax.inference.fitted import LEVELS, Fitted
 from slippulse_jax.inference.inputs import Inputs
+from slippulse_jax.inference.intervals import LEVELS
 from slippulse_jax.inference.observables import predicted as of_observable
 from slippulse_jax.inference.parameters import Linear, attainable_of
+
+if TYPE_CHECKING:
+    from slippulse_jax.inference.result import FitResult
 
 Along = Literal["height", "push_height"]
 INPUTS: dict[Along, str] = {"height": "log_height", "push_height": "log_push"}
@@ -22,12 +25,12 @@ NODES = 25
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class LengthCurve:
-    """Predicted lengths at n heights, as they would be measured; in λc of the table.
+    """Predicted lengths at n heights, as measured, in λc.
 
     Every number is computed when it is first asked for.
     """
 
-    fitted: Fitted
+    result: "FitResult"
     theta: np.ndarray  # (p,), or (t, p) for a curve of each
     inputs: Inputs  # a `Linear` each, one entry per height
     scale: Linear  # ln of the factor on the model's lengths
@@ -35,54 +38,79 @@ class LengthCurve:
 
     @functools.cached_property
     def length(self) -> np.ndarray:
-        """Predicted lengths, shape (n,) or (t, n); 0 where no domino starts, inf where nothing stops."""
+        """Predicted lengths, shape (n,) or (t, n).
+
+        0 where no domino starts, inf where nothing stops.
+        """
         return self._lengths(self.theta)
 
     @functools.cached_property
     def breaks_again(self) -> np.ndarray:
-        """Whether the edge contact breaks again before the front stops, which the model of a front leaves out."""
+        """Whether the edge contact breaks again before the front stops."""
         inputs = self.inputs.at(self.theta)
-        return self.fitted.parameters.front.breaks_again(inputs.ravel()).reshape(inputs.poisson.shape)
+        return self.result.parameters.front.breaks_again(inputs.ravel()).reshape(inputs.poisson.shape)
 
     @functools.cached_property
     def longest(self) -> np.ndarray:
-        """Longest length at any stiffness searched, all else as in the best fit; shape (n,)."""
-        theta = self.fitted.theta
-        longest, _ = attainable_of(self.fitted.parameters, theta, self.inputs)
+        """Longest length at any stiffness searched, else as fitted; (n,)."""
+        theta = self.result.theta
+        longest, _ = attainable_of(self.result.parameters, theta, self.inputs)
         return longest * np.exp(self.scale(theta)) + self.offset(theta)
 
     @functools.cached_property
     def bands(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Lower and upper ends of the 95 % band of the best fit, shape (n,) each.
+        """Ends of the 95 % band of the best fit, (n,).
 
         One band for each piece of the interval where one parameter is fitted; of several, one by propagation of their
         errors, or none where their covariance is singular.
         """
-        fitted, level = self.fitted, LEVELS[-1]
-        if fitted.problem.p == 1:
-            free, pieces = fitted.parameters.free[0], fitted.intervals[fitted.names[0]][level]
+        result, level = self.result, LEVELS[-1]
+        if result.problem.p == 1:
+            free, pieces = result.parameters.free[0], result.intervals[result.names[0]][level]
             each = [np.linspace(free.theta(piece.low), free.theta(piece.high), NODES)[:, None] for piece in pieces]
             return [(family.min(axis=0), family.max(axis=0)) for family in map(self._lengths, each)]
-        if fitted.covariance is None:
+        if result.covariance is None:
             return []
-        step = 1e-3 * np.sqrt(np.diag(fitted.covariance))
-        middle = self._lengths(fitted.theta)
-        up, down = (self._lengths(fitted.theta + side * np.diag(step)) for side in (1, -1))
+        step = 1e-3 * np.sqrt(np.diag(result.covariance))
+        middle = self._lengths(result.theta)
+        up, down = (self._lengths(result.theta + side * np.diag(step)) for side in (1, -1))
         slope = (up - down) / (2 * step[:, None])
-        half = ndtri((1 + level) / 2) * np.sqrt(np.einsum("pn,pq,qn->n", slope, fitted.covariance, slope))
+        half = ndtri((1 + level) / 2) * np.sqrt(np.einsum("pn,pq,qn->n", slope, result.covariance, slope))
         return [(np.maximum(middle - half, 0), middle + half)]
 
     def _lengths(self, theta: np.ndarray) -> np.ndarray:
         inputs = self.inputs.at(theta)
-        length = self.fitted.parameters.front.lengths(inputs.ravel()).reshape(inputs.poisson.shape)
+        length = self.result.parameters.front.lengths(inputs.ravel()).reshape(inputs.poisson.shape)
         return length * np.exp(self.scale(theta)) + self.offset(theta)
 
 
 def curve(
-    fitted: Fitted, rows: ArrayLike, heights: ArrayLike, theta: np.ndarray | None = None, *, along: Along = "height"
+    result: "FitResult", rows: ArrayLike, heights: ArrayLike, theta: np.ndarray | None = None, *, along: Along = "height"
 ) -> LengthCurve:
-    """Predict lengths at other heights: see `FitResult.curve`."""
-    q, at = fitted.parameters, getattr(fitted.measurements, along)
+    """Predict the lengths of measurements like some of these at other heights.
+
+    Parameters
+    ----------
+    rows : int or sequence of int
+        Measurements that they are like: every other input is the mean of theirs.
+    heights : array_like, shape (n,)
+        Heights in λc of the table (of ``measurements.unit[0]`` each, in the unit of the table).
+    theta : array, shape (p,) or (t, p), optional
+        Other θ than those of the best fit, in the order of ``parameters.names``.
+    along : {"height", "push_height"}
+        Whether `heights` are those of the block, whose push stays at its share of the height, or of the push.
+
+    Returns
+    -------
+    LengthCurve
+        ``length``, ``bands``, ``longest`` in λc of the table, and ``breaks_again``.
+
+    Raises
+    ------
+    ValueError
+        If the measurements state no such height.
+    """
+    q, at = result.parameters, getattr(result.measurements, along)
     if at is None:
         raise ValueError(f"along = {along!r}: the measurements state no {along}")
     rows, heights = np.atleast_1d(rows), np.atleast_1d(heights)
@@ -93,47 +121,66 @@ def curve(
     inputs = q.inputs.map(mean)
     inputs.get(INPUTS[along]).base[:] += np.log(heights) - np.log(at[rows]).mean()
     scale, offset = (mean(q.scales[name]) for name in ("length", "offset"))
-    return LengthCurve(fitted, fitted.theta if theta is None else theta, inputs, scale, offset)
+    return LengthCurve(result, result.theta if theta is None else theta, inputs, scale, offset)
 
 
-def abscissa(fitted: Fitted) -> Along:
-    """What the lengths are drawn against: the height of the block, or of the push where that leaves fewer curves."""
-    if fitted.measurements.push_height is None or fitted.parameters.front.body != "block":
+def abscissa(result: "FitResult") -> Along:
+    """What leaves fewer curves to draw: height of block or push."""
+    if result.measurements.push_height is None or result.parameters.front.body != "block":
         return "height"
-    return min(INPUTS, key=lambda along: len(alike(fitted, fitted.theta, along)))
+    return min(INPUTS, key=lambda along: len(alike(result, result.theta, along)))
 
 
-def on_one_curve(fitted: Fitted) -> list[np.ndarray]:
-    """Group the measurements that lie on one curve (equal but for the `abscissa`), in the order of the table.
+def on_one_curve(result: "FitResult", along: Along) -> list[np.ndarray]:
+    """Group the measurements that lie on one curve, in order.
 
-    Inputs with an error are those fitted where every curve then has two heights, else those stated.
+    They are equal but for what is drawn along. Inputs with an error are those fitted where every curve then has two heights,
+    else those stated.
     """
-    along = abscissa(fitted)
-    at = getattr(fitted.measurements, along)
-    found = alike(fitted, fitted.theta, along)
+    at = getattr(result.measurements, along)
+    found = alike(result, result.theta, along)
     if all(np.ptp(at[rows]) > 0 for rows in found):
         return found
-    stated = [one.prior_mean if one.nuisance else t for one, t in zip(fitted.parameters.free, fitted.theta, strict=True)]
-    return alike(fitted, np.array(stated), along)
+    stated = [one.prior_mean if one.nuisance else t for one, t in zip(result.parameters.free, result.theta, strict=True)]
+    return alike(result, np.array(stated), along)
 
 
-def alike(fitted: Fitted, theta: np.ndarray, apart_from: Along | None = None) -> list[np.ndarray]:
-    """Group the measurements whose inputs at θ are equal, apart from a height, in the order of the table."""
-    inputs, contact = fitted.parameters.inputs_at(theta), fitted.measurements.correlation_length
+def alike(result: "FitResult", theta: np.ndarray, apart_from: Along | None = None) -> list[np.ndarray]:
+    """Group measurements of equal inputs at θ, apart from a height."""
+    inputs, contact = result.parameters.inputs_at(theta), result.measurements.correlation_length
     same = [inputs.get(name) for name in inputs.names if apart_from is None or name != INPUTS[apart_from]]
     keys = np.column_stack([np.round(same, 9).T, np.zeros_like(inputs.poisson) if contact is None else contact])
     _, group = np.unique(keys, axis=0, return_inverse=True)
     return sorted((np.flatnonzero(group.ravel() == g) for g in range(group.max() + 1)), key=lambda rows: rows[0])
 
 
-def field(fitted: Fitted, row: int, observable: str, position: ArrayLike) -> np.ndarray:
-    """Predict slip or stress along the interface: see `FitResult.field`."""
-    q, contact, x = fitted.parameters, fitted.measurements.correlation_length, np.atleast_1d(position)
-    block = next((one for one in fitted.problem.observed if one.observable == observable), None)
-    if block is None or contact is None or row not in block.measurement:
+def field(result: "FitResult", row: int, observable: str, position: ArrayLike) -> np.ndarray:
+    """Predict the slip or stress along the interface after one precursor.
+
+    Parameters
+    ----------
+    row : int
+        Measurement, for which gauges read this.
+    observable : {"slip", "stress"}
+    position : array_like, shape (n,)
+        Distances from the pushed edge, in m.
+
+    Returns
+    -------
+    array, shape (n,)
+        Slip in m, or stress in Pa; inf where the front never stops.
+
+    Raises
+    ------
+    ValueError
+        If no gauge read it.
+    """
+    q, contact, x = result.parameters, result.measurements.correlation_length, np.atleast_1d(position)
+    read = next((data for data in result.problem.observed if data.observable == observable), None)
+    if read is None or contact is None or row not in read.measurement:
         raise ValueError(f"no gauge read {observable} in measurement {row}")
-    datum = np.flatnonzero(block.measurement == row)[0]
-    inputs = block.inputs.at(fitted.theta).take(np.full(len(x), block.rows[datum]))
-    true_contact, unit = (np.exp(q.scales[name](fitted.theta)[row]) for name in ("position", observable))
+    datum = np.flatnonzero(read.measurement == row)[0]
+    inputs = read.inputs.at(result.theta).take(np.full(len(x), read.rows[datum]))
+    true_contact, unit = (np.exp(q.scales[name](result.theta)[row]) for name in ("position", observable))
     place = np.log(np.maximum(x / (contact[row] * true_contact), 1e-9))
     return of_observable(observable, q.front, inputs.given(log_position=place)).value * unit

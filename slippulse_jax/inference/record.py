@@ -1,4 +1,4 @@
-"""Records of a fit for JSON, written and read by their type hints, and the request that repeats it."""
+"""Records of a fit for JSON, by their type hints, and requests."""
 
 import dataclasses
 import enum
@@ -9,8 +9,9 @@ import platform
 import tomllib
 import types
 import typing
+from collections.abc import Sequence
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, get_args, get_origin
+from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin
 
 import numpy as np
 
@@ -18,15 +19,18 @@ from slippulse_jax.files import plain, read_whole, shortened
 from slippulse_jax.inference.changes import Change
 from slippulse_jax.inference.choices import Loss
 from slippulse_jax.inference.columns import GAUGE_COLUMNS, NUMERIC
-from slippulse_jax.inference.fitted import Fitted
 from slippulse_jax.inference.likelihood import make_problem
-from slippulse_jax.inference.measurements import Gauges, Measurements
-from slippulse_jax.inference.parameters import Parameter, parameter_set, with_errors_of_measuring
+from slippulse_jax.inference.measurements import Gauges, Measurements, likely_mistakes
+from slippulse_jax.inference.parameters import Parameter, mistaken_priors, parameter_set, with_errors_of_measuring
 from slippulse_jax.status import Outcome
 from slippulse_jax.theory import rebreaking_b
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from slippulse_jax.inference.result import FitResult
+
+Record = TypeVar("Record")
 
 SCHEMA = 2
 """Version of the record: larger where its form has changed. That of version 0.2 of the package, 1, is read too."""
@@ -42,7 +46,10 @@ LONGEST, DEEPEST = 2000, 64
 
 
 def encode(x: Any) -> Any:
-    """Convert a record to plain values; what is not finite becomes None, what is absent is left out."""
+    """Convert a record to plain values.
+
+    What is not finite becomes None, what is absent is left out.
+    """
     if isinstance(x, enum.Enum):
         return x.name.lower()
     if dataclasses.is_dataclass(x) or hasattr(x, "_fields"):
@@ -94,75 +101,86 @@ def _written(hint: type) -> tuple[str, ...]:
 # --- a fit ------------------------------------------------------------------------------------------------------------------
 
 
-def to_dict(fitted: Fitted, changes: list[Change], next_steps: list[str], **more: Any) -> dict[str, Any]:
-    """Return the whole result as plain Python values; open ends and missing numbers are None.
+def to_dict(result: "FitResult") -> dict[str, Any]:
+    """Return the whole result as plain Python values.
 
-    The record itself, by the fields of `Fitted`, after what follows from it.
+    Open ends and missing numbers are None. The record itself, by the fields of `FitResult`, stands after what follows from it.
     """
-    q = fitted.parameters
+    q = result.parameters
     units = {one.label: one.unit for one in q.free}
     follows = {
         "schema": SCHEMA,
-        "identifiability": fitted.identifiability.name.lower(),
-        "statement": fitted.identifiability.value,
-        "reason": fitted.reason or None,
+        "identifiability": result.identifiability.name.lower(),
+        "statement": result.identifiability.value,
+        "reason": result.reason or None,
         "model": {"body": q.front.body, "event": q.front.event},
-        "values": fitted.values,
-        "stderr": fitted.stderrs,
-        **more,
-        "units": {name: units.get(name, "") for name in fitted.values},
-        "correlations": [[a, b, value] for (a, b), value in fitted.correlations.items()],
-        "stiffness_ratios": [[*labels, *found] for labels, found in fitted.stiffness_ratios.items()],
-        "inputs": fitted.inputs,
+        "values": result.values,
+        "stderr": result.stderrs,
+        "stderr_with_inputs": result.stderrs_with_inputs,
+        "error_with_inputs": result.errors_with_inputs,
+        "directions": result.directions,
+        "notes": result.notes,
+        "units": {name: units.get(name, "") for name in result.values},
+        "correlations": [[a, b, value] for (a, b), value in result.correlations.items()],
+        "stiffness_ratios": [[*labels, *found] for labels, found in result.stiffness_ratios.items()],
+        "inputs": result.inputs,
         "searched": {one.label: [one.value(one.low), one.value(one.high)] for one in q.free},
-        "chi2": fitted.deviance if fitted.problem.plain else None,
-        "dof": fitted.dof,
-        "p_value": fitted.p_value,
-        "sigma": fitted.sigma,
-        "fitted": fitted.fitted,
-        "residuals": fitted.residuals,
-        "contacts_broken": fitted.contacts_broken,
-        "front_status": [Outcome(int(one)).name.lower() for one in fitted.front_status],
-        "further": [encode(one) for one in fitted.further],
+        "chi2": result.deviance if result.problem.plain else None,
+        "dof": result.dof,
+        "p_value": result.p_value,
+        "sigma": result.sigma,
+        "fitted": result.fitted,
+        "residuals": result.residuals,
+        "contacts_broken": result.contacts_broken,
+        "front_status": [Outcome(int(one)).name.lower() for one in result.front_status],
+        "further": [encode(one) for one in result.further],
         "regime": {
-            "b": fitted.regime.b,
+            "b": result.regime.b,
             "rebreaking_b": rebreaking_b(),
-            "slow_decay_length": fitted.regime.slow_decay_length,
-            "block_length_over_height": fitted.block_length_over_height,
+            "slow_decay_length": result.regime.slow_decay_length,
+            "block_length_over_height": result.block_length_over_height,
         },
     }
     after = {
-        "changes": encode(changes),
-        "next_steps": next_steps,
-        "data_sha256": data_hash(fitted.measurements),
+        "changes": encode(result.changes),
+        "next_steps": result.next_steps,
+        "data_sha256": data_hash(result.measurements),
         "versions": versions(),
     }
-    return plain(follows) | encode(fitted) | {"request": as_request(fitted.request)} | after
+    return plain(follows) | encode(result) | {"request": as_request(result.request)} | after
 
 
-def of_dict(content: dict[str, Any]) -> tuple[Fitted, list[Change] | None, list[str] | None]:
-    """Restore a fit from what `to_dict` made of it, and what else would move it, as far as it is there.
+def suspicions(m: Measurements, wanted: Sequence[Parameter]) -> tuple[str, ...]:
+    """Likely mistakes of a table, and of what is wanted from it."""
+    prestressed = any(one.name == "prestress" for one in wanted)
+    return *likely_mistakes(m, prestressed=prestressed), *mistaken_priors(m, wanted)
 
-    A ValueError if this version has no model for it.
+
+def of_dict(kind: type[Record], content: dict[str, Any]) -> tuple[Record, dict[str, Any]]:
+    """Restore a fit, and its `changes` and `next_steps`, from `to_dict`.
+
+    `kind` is `FitResult`. Of these two what the record has. A ValueError if this version has no model for it.
     """
     if content["schema"] == 1:
         content = _of_version_1(content)
-    request = from_request(content["request"])
+    request: dict[str, Any] = {"event": None, "body": None} | from_request(content["request"])
     if request.get("loss", "normal") not in get_args(Loss):
         raise ValueError(f"loss = {request['loss']!r}, which this version does not have: repeat the fit with another")
     m = decode(Measurements, content["measurements"])
     size_known = m.length_sigma is not None and request["sigma"] == "absolute"
     wanted = with_errors_of_measuring(m, request["free"], size_known=size_known)
-    request = {**request, "event": request.get("event"), "body": request.get("body")}
     q = parameter_set(m, wanted, request["event"], request["body"])
-    between, scatter = content.get("between_contacts"), content.get("scatter")
-    sigma = m.stated_sigma if between is None else np.hypot(m.stated_sigma, np.array(between, dtype=float))
-    problem = make_problem(m, q, request["loss"], sigma)
-    if scatter is not None:
-        problem = problem.with_sigma(scatter, of_lengths=m.length_sigma is None)
-    found = decode(Fitted, {**content, "request": {}}, problem=problem, parameters=q)
-    changes = decode(list[Change], content["changes"], np.nan) if "changes" in content else None
-    return dataclasses.replace(found, request=request), changes, content.get("next_steps")
+    problem = make_problem(m, q, request["loss"], m.stated_sigma)
+    if content.get("between_contacts") is not None:
+        problem = problem.widened(np.array(content["between_contacts"], dtype=float))
+    if content.get("scatter") is not None:
+        problem = problem.with_sigma(content["scatter"], of_lengths=m.length_sigma is None)
+    if "suspicions" not in content:  # as before 0.3
+        content = {**content, "suspicions": suspicions(m, request["free"])}
+    found = decode(kind, {**content, "request": {}}, problem=problem, parameters=q)
+    known = {"changes": list[Change], "next_steps": list[str]}
+    known = {name: decode(hint, content[name], np.nan) for name, hint in known.items() if name in content}
+    return dataclasses.replace(found, request=request), known  # pyright: ignore[reportArgumentType]
 
 
 def _of_version_1(content: dict[str, Any]) -> dict[str, Any]:
@@ -196,7 +214,10 @@ def _of_version_1(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def read_record(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read the JSON of a fit; a ValueError if it is none, or of another schema, an OSError if it cannot be opened."""
+    """Read the JSON of a fit.
+
+    A ValueError if it is none, or of another schema, an OSError if it cannot be opened.
+    """
     name, content = os.fspath(path), read_request_file(path)
     if not isinstance(content, dict) or content.get("schema") not in (1, SCHEMA):
         raise ValueError(
@@ -206,11 +227,14 @@ def read_record(path: str | os.PathLike[str]) -> dict[str, Any]:
     return content
 
 
-def to_dataframe(fitted: Fitted) -> "pd.DataFrame":
-    """Return measurements and model as a pandas.DataFrame, one row per measurement; lengths in the unit of the table."""
+def to_dataframe(result: "FitResult") -> "pd.DataFrame":
+    """Return measurements and model as a pandas.DataFrame.
+
+    One row per measurement; lengths in the unit of the table.
+    """
     import pandas as pd
 
-    m = fitted.measurements
+    m = result.measurements
     scale, unit = m.unit
     unit = f"_{unit}" * m.in_si
     text = {"line": m.lines, "row": m.rows, "label": m.label, "specimen": m.specimen, "kind": m.kind}
@@ -218,19 +242,22 @@ def to_dataframe(fitted: Fitted) -> "pd.DataFrame":
         "height": m.height,
         "push_height": m.push_height,
         "length": m.length,
-        "length_sigma": fitted.sigma,
-        "length_fitted": fitted.fitted,
-        "length_attainable": fitted.attainable,
+        "length_sigma": result.sigma,
+        "length_fitted": result.fitted,
+        "length_attainable": result.attainable,
     }
     return pd.DataFrame(
         {name: list(column) for name, column in text.items() if column}
         | {name + unit: x * scale for name, x in lengths.items() if x is not None}
-        | {"residual": fitted.residuals, "outcome": [Outcome(int(status)).name.lower() for status in fitted.front_status]}
+        | {"residual": result.residuals, "outcome": [Outcome(int(status)).name.lower() for status in result.front_status]}
     )
 
 
 def data_hash(m: Measurements) -> str:
-    """Hash (SHA-256) what entered the fit, specimens and provenance included, to match a result to its data."""
+    """Hash (SHA-256) what entered the fit.
+
+    Specimens and provenance included, to match a result to its data.
+    """
     digest = hashlib.sha256()
     for table, names in ((m, NUMERIC), (m.gauges, GAUGE_COLUMNS)):
         for name in names if table is not None else ():
@@ -253,7 +280,7 @@ def versions() -> dict[str, str]:
 
 
 def as_request(request: dict[str, Any]) -> dict[str, Any]:
-    """Convert the arguments of a fit to the form of a request file."""
+    """Convert the arguments of a fit to a request file's form."""
     settable = dataclasses.fields(Parameter)[1:]  # after its name
     free = {
         one.name: {field.name: x for field in settable if (x := getattr(one, field.name)) is not field.default}
@@ -264,7 +291,7 @@ def as_request(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def from_request(request: dict[str, Any]) -> dict[str, Any]:
-    """Convert a request to the arguments of `fit`; a ValueError names what is not understood."""
+    """Convert a request to arguments of `fit`; a ValueError names mistakes."""
     request = dict(request)
     parameters = request.pop("parameters", {"stiffness": {}})
     unknown = set(request) - {*SETTINGS}
@@ -286,7 +313,7 @@ def from_request(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def read_request(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read a request from a TOML file, or from the JSON that an earlier fit printed.
+    """Read a request from TOML, or the JSON of a fit.
 
     A ValueError if it is neither, an OSError if it cannot be opened.
     """
@@ -299,7 +326,7 @@ def read_request(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def read_request_file(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read a TOML or JSON file; a ValueError if it is neither, or larger than `LARGEST`."""
+    """Read a TOML or JSON file; a ValueError otherwise."""
     name = os.fspath(path)
     try:
         text = read_whole(path, LARGEST).decode("utf-8-sig")

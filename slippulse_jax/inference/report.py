@@ -3,39 +3,37 @@
 import math
 import re
 import textwrap
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
 
 from slippulse_jax.block import USUAL_NORMAL_STIFFNESS
-from slippulse_jax.inference.changes import (
-    END,
-    MANY,
-    MOST_CONTACTS,
-    NARROW_PUSHER,
-    NORMAL,
-    Change,
-    of_inputs,
-    total,
-    total_interval,
-    total_of_ratio,
-)
+from slippulse_jax.inference.changes import END, MANY, MOST_CONTACTS, NARROW_PUSHER, NORMAL, Change, of_inputs
 from slippulse_jax.inference.columns import COLUMNS, READINGS
-from slippulse_jax.inference.fitted import GIVEN, GRAVITY, LEVELS, SCATTERED, Fitted, Identifiability
 from slippulse_jax.inference.fronts import ENDED
-from slippulse_jax.inference.intervals import Interval
+from slippulse_jax.inference.intervals import LEVELS, Interval
 from slippulse_jax.inference.likelihood import IMPROBABLE
-from slippulse_jax.inference.measurements import Measurements, likely_mistakes
+from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.parameters import OF_MEASURING, STIFFNESSES, Free
 from slippulse_jax.inference.search import SLACK
-from slippulse_jax.inference.verdict import PLATEAU, of_inputs_in_words, tested, whole_events
+from slippulse_jax.inference.verdict import (
+    GIVEN,
+    GRAVITY,
+    PLATEAU,
+    SCATTERED,
+    Identifiability,
+    whole_events,
+)
 from slippulse_jax.shown import TIED, ends, format_number, html, interval, listed, plural, value_with_error
 from slippulse_jax.theory import length_ceiling, rebreaking_b
 from slippulse_jax.units import UNITS_OF_LENGTH
+
+if TYPE_CHECKING:
+    from slippulse_jax.inference.result import FitResult
 
 WITHOUT_VALUE = {
     Identifiability.EQUAL: "any in the interval",
@@ -58,6 +56,8 @@ WIDEST = 110
 """Characters of the longest sentence in the box."""
 DECADES = 4
 """Of stiffness below a root, from which bounds that hold it begin."""
+MOST_VALUES = 4
+"""Most values in the title of a picture."""
 CORRELATED, MOST_CORRELATIONS = 0.5, 5
 """Correlation above which one is shown, and how many at most."""
 ALIKE = 0.05
@@ -71,20 +71,19 @@ UNEVEN, UNEVEN_TOTAL = 0.2, 0.1
 which the error is given as an interval."""
 
 
-def report(result: Fitted, changes: Sequence[Change], next_steps: Sequence[str], *, verbose: bool = False) -> str:
-    """Format a fit: the result in a box, what else would move it, the data, remarks on this table.
+def report(result: "FitResult", *, verbose: bool = False) -> str:
+    """Format a fit: a box, what would move it, data, remarks.
 
     `verbose` adds the model, the range searched, all intervals, fitted inputs, correlations, the regime, and contacts broken.
     """
-    shown, mistakes = shown_with(result, changes), set(_mistakes(result))
-    said = [line for one in sentences(result, changes) for line in folded(one, WIDEST)]
-    box = [*_values(result, shown, changes), *said]
+    remarks = [note for note in result.notes if note not in result.suspicions]
+    lists, shown = {"What to try next": result.next_steps, "Remarks": remarks}, _with_totals(result)
+    box = [*_values(result, shown), *(line for text in _sentences(result, shown) for line in _folded(text, WIDEST))]
     width = max(map(len, box))
-    lists = {"What to try next": next_steps, "Remarks": [note for note in notes(result) if note not in mistakes]}
     parts = [
         [f"┌{'─' * (width + 2)}┐", *(f"│ {line:{width}s} │" for line in box), f"└{'─' * (width + 2)}┘"],
         _roots(result, shown),
-        _moving(result, shown, changes),
+        _moving(result, shown),
         _table(result),
         _further(result),
         *([head, *(f"  - {line}" for line in lines)] if lines else [] for head, lines in lists.items()),
@@ -93,9 +92,9 @@ def report(result: Fitted, changes: Sequence[Change], next_steps: Sequence[str],
     return "\n\n".join("\n".join(part) for part in parts if part)
 
 
-def methods(result: Fitted, changes: Sequence[Change]) -> str:
-    """Write a sentence for the methods section of a paper, filled in with the numbers of this fit."""
-    m, q, given, shown = result.measurements, result.parameters, result.given, shown_with(result, changes)
+def methods(result: "FitResult") -> str:
+    """Write a sentence for the methods section of a paper."""
+    m, q, shown = result.measurements, result.parameters, _with_totals(result)
     scale, unit = m.unit
     body = "the two-layer slider of Braun and Scheibert (Tribology Letters, 2014)"
     if q.front.body == "block" and m.push_height is not None:
@@ -105,9 +104,9 @@ def methods(result: Fitted, changes: Sequence[Change]) -> str:
     model = [body, *(f"{sign} = {ends(x * size)}{of}" for x, sign, size, of in constants if x is not None), *_held(result)]
     verdict, errors = "; ".join(_verdicts(result, shown)), []
     bounded = [shown[name] for name in result.names if any(result.intervals.get(name, {}).values())]
-    if given:
-        obtained = f"we obtain {', and '.join(shown[name].in_words(result) for name in given)}"
-        usual = [re.split(" larger by | smaller by ", COLUMNS[one.name].usual[0]) for one in of_inputs(changes)]
+    if result.given:
+        obtained = f"we obtain {', and '.join(shown[name].in_words(result) for name in result.given)}"
+        usual = [re.split(" larger by | smaller by ", COLUMNS[change.name].usual[0]) for change in of_inputs(result.changes)]
         errors += [f"The error contains usual errors of {', '.join(f'{sign} ({by})' for sign, by in usual)}."] * bool(usual)
         fitted = dict.fromkeys(f"{one.symbol} = {shown[one.label].prior}" for one in _beside(result))  # what is shared, once
         errors += [f"Fitted with it, within their errors: {', '.join(fitted)}."] * bool(fitted)
@@ -119,7 +118,8 @@ def methods(result: Fitted, changes: Sequence[Change]) -> str:
         obtained = f"no number is obtained: {verdict}"
     fits = ""
     if result.p_value is not None:
-        sign, how = "χ²" if result.problem.plain else "deviance", re.sub(r" ?\((.*)\)", r", \1", tested(result))
+        sign, tested = "χ²" if result.problem.plain else "deviance", result.problem.tested(result.p_value, result.testable_dof)
+        how = re.sub(r" ?\((.*)\)", r", \1", tested)
         fits = f" ({sign} = {format_number(result.misfit, 3)}{how})".replace(TIED, " ")
     heights = ("a height of " if np.ptp(m.height * scale) == 0 else "heights of ") + ends(m.height * scale)
     said = (
@@ -129,7 +129,7 @@ def methods(result: Fitted, changes: Sequence[Change]) -> str:
     return " ".join([said, *errors])
 
 
-def _data(result: Fitted) -> str:
+def _data(result: "FitResult") -> str:
     """``6 lengths``, ``2 counts and 16 readings``."""
     kinds = {*result.measurements.kind}
     counts = {"length" if kinds == {"length"} else "count" if kinds == {"whole"} else "measurement": len(result.measurements)}
@@ -139,17 +139,17 @@ def _data(result: Fitted) -> str:
     return listed([plural(count, kind) for kind, count in counts.items()])
 
 
-def _held(result: Fitted) -> list[str]:
+def _held(result: "FitResult") -> list[str]:
     return [f"{name} = {format_number(value)}" for name, value in result.parameters.held.items()]
 
 
-def _beside(result: Fitted) -> list[Free]:
-    """Inputs, offset and model factor that are fitted only because of their errors."""
+def _beside(result: "FitResult") -> list[Free]:
+    """Inputs and the like, fitted only because of their errors."""
     return [one for one in result.parameters.free if one.nuisance and one.name != "arrest"]
 
 
-def _alone(result: Fitted) -> str:
-    """State what the errors without those of inputs taken as exact come from."""
+def _alone(result: "FitResult") -> str:
+    """State what the errors without those of inputs come from."""
     beside = {one.name for one in _beside(result)}
     other = sorted({"readings" if one.observable in READINGS else one.observable for one in result.further})
     other += ["priors"] * any(math.isfinite(one.prior_sigma) for one in result.parameters.free if not one.nuisance)
@@ -161,7 +161,7 @@ def _alone(result: Fitted) -> str:
 
 
 class Shown(NamedTuple):
-    """A fitted parameter, or k/K that follows from one, as it is written: in the unit of the table."""
+    """A fitted parameter, or k/K from one, as the report writes it."""
 
     symbol: str
     unit: str
@@ -172,15 +172,20 @@ class Shown(NamedTuple):
     intervals: dict[float, str]  # by level
     sides: np.ndarray  # distances of the ends of its 68 % interval from it, over its error; inf where it lacks either
 
-    def in_words(self, result: Fitted) -> str:
-        """``k/λc² = (1.96 ± 0.17)e10 Pa/m; (1.956 ± 0.032)e10 from the lengths alone``."""
+    def in_words(self, result: "FitResult") -> str:
+        """Write ``k/λc² = (1.96 ± 0.17)e10 Pa/m`` and the error alone."""
         alone = f"; {self.own} {_alone(result)}" if self.whole else ""
         return f"{self.symbol} = {self.whole or self.own} {self.unit}".rstrip() + alone
 
 
-def shown_with(result: Fitted, changes: Sequence[Change] = ()) -> dict[str, Shown]:
-    """Every parameter by label, and k/K that follows from them; with the errors of `changes` of inputs."""
-    q, symbols, moved, errors = result.parameters, _symbols(result), of_inputs(changes), result.stderrs
+def _with_totals(result: "FitResult") -> dict[str, Shown]:
+    """Show every parameter, with usual errors of inputs, if any."""
+    return _shown(result, result.totals if of_inputs(result.changes) else {})
+
+
+def _shown(result: "FitResult", totals: Mapping[str, tuple[float | None, Interval | None]]) -> dict[str, Shown]:
+    """Show every parameter by label, and k/K that follows from them."""
+    q, symbols, errors = result.parameters, _symbols(result), result.stderrs
     free, found = {one.label: one for one in q.free}, {}
     for name, value in (result.values | result.inputs).items():
         size, unit, prior = _unit_and_prior(result.measurements, free.get(name))
@@ -196,17 +201,19 @@ def shown_with(result: Fitted, changes: Sequence[Change] = ()) -> dict[str, Show
         own = errors.get(name), every[0] if len(every) == 1 else None
         sides, whole = _sides(value, *own), ""
         uneven = np.abs(sides - 1).max() > UNEVEN
-        if moved and name in result.given and all(name in change.moves for change in moved):
-            both = total(result, name, moved), total_interval(result, name, moved)
-            uneven = uneven or np.abs(_sides(value, *both) - 1).max() > UNEVEN_TOTAL
-            whole = _with_error(result, name, value, size, *both, uneven=uneven)
+        if name in totals and name in result.given:
+            uneven = uneven or np.abs(_sides(value, *totals[name]) - 1).max() > UNEVEN_TOTAL
+            whole = _with_error(result, name, value, size, *totals[name], uneven=uneven)
         by_data = _with_error(result, name, value, size, *own, uneven=uneven)
         found[name] = Shown(symbols.get(name, "k/K"), unit, size, prior, by_data, whole, texts, sides)
     return found
 
 
-def _symbols(result: Fitted) -> dict[str, str]:
-    """Short name of each parameter, by label: ``E (block A)`` for ``young[block A, 3e+09]`` where that is unambiguous."""
+def _symbols(result: "FitResult") -> dict[str, str]:
+    """Short name of each parameter, by label.
+
+    ``E (block A)`` for ``young[block A, 3e+09]`` where that is unambiguous.
+    """
     long = {one.label: one.symbol + "".join(one.label.partition("[")[1:]) for one in result.parameters.free}
     short = dict(long)
     for one in (one for one in result.parameters.free if one.nuisance):
@@ -216,7 +223,10 @@ def _symbols(result: Fitted) -> dict[str, str]:
 
 
 def _unit_and_prior(m: Measurements, one: Free | None) -> tuple[float, str, str]:
-    """Factor, unit and prior of a parameter: in the unit of the table for heights and an offset; none for k/K beside."""
+    """Factor, unit and prior of a parameter; none for k/K.
+
+    In the unit of the table for heights and an offset.
+    """
     if one is None:
         return 1.0, "", ""
     size, unit, mean = 1.0, one.unit, one.value(one.prior_mean)
@@ -228,15 +238,18 @@ def _unit_and_prior(m: Measurements, one: Free | None) -> tuple[float, str, str]
 
 
 def _sides(value: float, error: float | None, piece: Interval | None) -> np.ndarray:
-    """Distances of the ends of an interval from the value, over the standard error; infinite without either."""
+    """Sides of an interval over the standard error; infinite without."""
     ends_of = (math.inf, math.inf) if error is None or piece is None else (value - piece.low, piece.high - value)
     return np.array(ends_of) / (error or 1.0)
 
 
 def _with_error(
-    result: Fitted, name: str, value: float, size: float, error: float | None, piece: Interval | None, *, uneven: bool
+    result: "FitResult", name: str, value: float, size: float, error: float | None, piece: Interval | None, *, uneven: bool
 ) -> str:
-    """``1.2 ± 0.3``; ``1.2 -0.2 +0.5`` by an uneven 68 % interval; the value alone, or none, where the verdict says so."""
+    """Write ``1.2 ± 0.3``, or ``1.2 -0.2 +0.5`` by an uneven interval.
+
+    The value alone, or none, where the verdict says so.
+    """
     judged = result.verdicts.get(name)
     verdict = judged.identifiability if judged else result.identifiability
     if uneven and piece is not None and piece.encloses(value) and verdict in GIVEN:
@@ -249,59 +262,59 @@ def _with_error(
     return some if result.points else WITHOUT_VALUE[Identifiability.EQUAL]
 
 
-def html_of(result: Fitted, changes: Sequence[Change]) -> str:
-    """Format the result as a table for a notebook: values with errors and intervals, the verdict, the data."""
-    shown, m = shown_with(result, changes), result.measurements
+def html_of(result: "FitResult") -> str:
+    """Format values, intervals and verdict as a table for a notebook."""
+    shown, m = _with_totals(result), result.measurements
     rows = [
         (one.symbol, one.whole or one.own, one.own, *(one.intervals.get(level, "") for level in LEVELS), one.unit)
         for one in map(shown.__getitem__, result.values)
     ]
     heads = ("", "with usual errors of inputs", _alone(result), *(f"{level:.0%} interval" for level in LEVELS), "unit")
-    said = [result.reason, f"{plural(len(m), 'length')} of {m.source}", _quality(result), "report() says more"]
-    return html(f"Result: {result.identifiability.value}", rows, heads, "; ".join(text for text in said if text))
+    below = [result.reason, f"{plural(len(m), 'length')} of {m.source}", _quality(result), "report() says more"]
+    return html(f"Result: {result.identifiability.value}", rows, heads, "; ".join(text for text in below if text))
 
 
 # --- the box ------------------------------------------------------------------------------------------------------------
 
 
-def sentences(result: Fitted, changes: Sequence[Change]) -> list[str]:
-    """State the verdict, what to check first, and the body that the result holds for, a paragraph each."""
-    verdict = [*_verdicts(result, shown_with(result)), _quality(result)]
-    mistakes = [f"check first: {one}" for one in _mistakes(result)]
-    paragraphs = verdict, mistakes, _holds_for(result, changes)
+def _sentences(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
+    """State verdict, what to check first, and the body, in paragraphs."""
+    verdict = [*_verdicts(result, shown), _quality(result)]
+    mistakes = [f"check first: {mistake}" for mistake in result.suspicions]
+    paragraphs = verdict, mistakes, _holds_for(result)
     return [text for texts in paragraphs if (text := " ".join(map(_sentence, texts)))]
 
 
 def _sentence(text: str) -> str:
-    """Begin with a capital letter, unless with a symbol, and end with a full stop."""
+    """Begin with a capital unless with a symbol; end with a stop."""
     begun = (text[0].upper() if text[:2].strip().isalpha() else text[0]) + text[1:].rstrip(".")
     return begun + "." * (not begun.endswith("?"))
 
 
-def folded(text: str, width: int) -> list[str]:
+def _folded(text: str, width: int) -> list[str]:
     """Fold a paragraph into lines, but not at `TIED`."""
     return [line.replace(TIED, " ") for line in textwrap.wrap(text, width, break_on_hyphens=False)]
 
 
-def _values(result: Fitted, shown: dict[str, Shown], changes: Sequence[Change]) -> list[str]:
-    """Tabulate values with their errors, with those of inputs taken as exact and without; ratios of specimens too."""
+def _values(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
+    """Tabulate values and ratios of specimens, with both errors."""
     rows = [["", "with usual errors of inputs", _alone(result), "95 % interval" + " (simulated)" * result.calibrated]]
     for one in (shown[name] for name in result.names):
         symbol = one.symbol + f" ({one.unit})" * bool(one.unit)
         rows.append([symbol, one.whole, one.own, one.intervals.get(LEVELS[-1], "none")])
-    moved = of_inputs(changes)
+    added = of_inputs(result.changes)
     ratios = {labels: found for labels, found in result.stiffness_ratios.items() if found[1] is not None}
     for labels, found in ratios.items():
         if len(ratios) <= MOST_RATIOS or labels[1] == result.names[0]:  # of many specimens, only those to the first
             above, below = (label.partition("[")[2][:-1] for label in labels)
-            whole = value_with_error(found[0], total_of_ratio(result, labels, moved)) if moved else ""
+            whole = value_with_error(found[0], result.totals_of_ratios[labels]) if added else ""
             rows.append([f"{above} over {below}", whole, value_with_error(*found), ""])
     kept = [i for i in range(len(rows[0])) if i == 0 or any(row[i] for row in rows[1:])]
     return _aligned([[row[i] for i in kept] for row in rows], str.ljust, indent="")
 
 
-def _verdicts(result: Fitted, shown: dict[str, Shown]) -> Iterator[str]:
-    """State the verdicts in words: one where all parameters share it, else each with the parameters that it is on."""
+def _verdicts(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
+    """State the verdicts in words, each with its parameters if several."""
     found = result.verdicts
     kinds = sorted({one.identifiability for one in found.values()}, key=GRAVITY.index)
     for kind in kinds:
@@ -311,8 +324,8 @@ def _verdicts(result: Fitted, shown: dict[str, Shown]) -> Iterator[str]:
         yield named + kind.value + (f"; {reasons.pop()}" if len(reasons) == 1 else "")
 
 
-def _holds_for(result: Fitted, changes: Sequence[Change]) -> Iterator[str]:
-    """State the kind of body that the result holds for, and what was guessed or held."""
+def _holds_for(result: "FitResult") -> Iterator[str]:
+    """State the body that the result holds for, guesses and held values."""
     q, m = result.parameters, result.measurements
     scale, unit = m.unit
     longest = format_number(float(f"{4 * np.max(result.regime.slow_decay_length * scale):.2g}"))
@@ -324,7 +337,7 @@ def _holds_for(result: Fitted, changes: Sequence[Change]) -> Iterator[str]:
     body = f"{'tried with' if result.identifiability in NOTHING_HOLDS else 'holds for'} {q.front.carrier}"
     body += f" with the stated {' and '.join(stated)}" * bool(stated) + f", if {' and '.join(needed)}" * bool(needed)
     yield body + f", with {q.front.thresholds}" + f" and {q.front.lengths_are_of}" * bool(q.front.lengths_are_of)
-    for change in changes:
+    for change in result.changes:
         moves = [by for moves in change.moves.values() for by in moves]
         factors = [math.exp(by) for by in moves if not math.isnan(by)]
         if change.name == "block":
@@ -351,8 +364,8 @@ def _holds_for(result: Fitted, changes: Sequence[Change]) -> Iterator[str]:
         yield "held: " + ", ".join(_held(result))
 
 
-def _quality(result: Fitted) -> str:
-    """State what was fitted, how well, and the size of the errors that was used."""
+def _quality(result: "FitResult") -> str:
+    """State what was fitted, how well, and the errors used."""
     m, problem, degrees = result.measurements, result.problem, plural(result.dof, "degree")
     specimens = len(set(m.specimen))
     data = f"from {_data(result)} of {Path(m.source).name}" + f" on {specimens} specimens" * (specimens > 1)
@@ -367,7 +380,7 @@ def _quality(result: Fitted) -> str:
         return data  # the verdict has the rest; counts and limits that hold cost nothing
     misfit = f"{problem.named_deviance} {format_number(round(result.misfit, 9), 3)}"  # no rounding errors
     if result.p_value is not None:
-        fits = f"{misfit}{of_inputs_in_words(problem, result.theta)}{tested(result)}"
+        fits = f"{misfit}{problem.of_inputs(result.theta)}{problem.tested(result.p_value, result.testable_dof)}"
     elif result.dof > 0:
         fits = f"{misfit}, {degrees} of freedom"
     else:
@@ -375,6 +388,40 @@ def _quality(result: Fitted) -> str:
         fits = f"{misfit} with no degree of freedom, so {why}"
     used = "; σ as given" if result.between_contacts is None else "; σ enlarged as remarked below"
     return f"{data}: {fits}{used * bool((m.stated_sigma > 0).any())}"
+
+
+def title(result: "FitResult", width: int) -> list[str]:
+    """Quote the box for a picture, in lines, with the constants."""
+    shown, free = _with_totals(result), result.parameters
+    names = [name for name in result.names if not (free.named(name).name in CONSTANTS and shown[name].prior)] or result.names
+    names = [name for name in names if name in result.given]
+    more = [f"… and {len(names) - MOST_VALUES} more"] * (len(names) > MOST_VALUES)
+    constants = ", ".join(text.replace(" ", TIED) for text in _constants(result, shown))
+    text = " ".join([*_sentences(result, shown), constants])
+    return [*(shown[name].in_words(result) for name in names[:MOST_VALUES]), *more, *_folded(text, width)]
+
+
+def _constants(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
+    """List E, ν, λc and μ, fitted or stated.
+
+    Those with an error as they are fitted; as stated if there is no sound fit.
+    """
+    q, covariance = result.parameters, None if result.rejected else result.covariance
+    for name, (sign, size, unit) in CONSTANTS.items():
+        stated, own = getattr(result.measurements, name), [one for one in q.free if one.name == name]
+        if stated is None or not all(shown[one.label].prior for one in own):
+            continue  # a parameter without a prior is a result
+        if not own:
+            yield f"{sign} = {ends(stated * size, 4)}{unit}"
+            continue
+        theta, error = np.array([(one.prior_mean, one.prior_sigma) for one in own]).T
+        if covariance is not None:
+            each = [q.index(one.label) for one in own]
+            theta, error = result.theta[each], np.sqrt(np.diag(covariance)[each])
+        value = own[0].value(theta) * size
+        error = error * (value if own[0].log else size)
+        text = value_with_error(value[0], error[0]) if len(own) == 1 else f"{ends(value, 3)} ± {error.max():.2g}"
+        yield f"{sign} = {text}{unit} ({'stated' if covariance is None else 'fitted'})"
 
 
 # --- tables ---------------------------------------------------------------------------------------------------------------
@@ -386,8 +433,8 @@ def _aligned(rows: list[list[str]], justify: Callable[[str, int], str], indent: 
     return [indent + "  ".join(map(justify, row, widths)).rstrip() for row in rows]
 
 
-def _roots(result: Fitted, shown: dict[str, Shown]) -> list[str]:
-    """Tabulate the points that fit, where there are several, with their own errors."""
+def _roots(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
+    """Tabulate the points that fit, if several, with their own errors."""
     if not result.points:
         return []
     rows = [[*(shown[name].symbol for name in result.roots[0].values), "chi-squared" if result.problem.plain else "deviance"]]
@@ -404,12 +451,12 @@ def _roots(result: Fitted, shown: dict[str, Shown]) -> list[str]:
         *_aligned(rows, str.ljust),
         *[f"  … and {more} more (FitResult.roots)"] * (more > 0),
         f"  To keep {'the first' if bounds else 'one'}, with its errors: {option}",
-        *[f"  {_sentence(whole_events(result))}" for _ in range(any(root.rebreaks for root in result.roots))],
+        *[f"  {_sentence(whole_events(result.measurements))}" for _ in range(any(root.rebreaks for root in result.roots))],
     ]
 
 
-def _bounds(result: Fitted) -> tuple[float, float] | None:
-    """Round bounds of the one stiffness fitted that hold the first root and no other; None where none do."""
+def _bounds(result: "FitResult") -> tuple[float, float] | None:
+    """Round bounds of a stiffness that hold only the first root."""
     stiff = [name for name in result.names if result.parameters.named(name).name in STIFFNESSES]
     if len(stiff) != 1:
         return None
@@ -432,16 +479,16 @@ def _bounds(result: Fitted) -> tuple[float, float] | None:
     return tuple(float(f"{one.value(limit):.2g}") for limit in limits)  # pyright: ignore[reportReturnType]
 
 
-def _moving(result: Fitted, shown: dict[str, Shown], changes: Sequence[Change]) -> list[str]:
+def _moving(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
     """Tabulate what else would move the result, largest first."""
-    names = [name for name in result.names if any(name in one.moves for one in changes)]
+    names = [name for name in result.names if any(name in change.moves for change in result.changes)]
     if not names:
         return []
     symbols = [shown[name].symbol for name in names]
     rows = [["What else would move it, and to what", *symbols]]
     if len(names) == 1:
         rows = [["What else would move it", f"{symbols[0]} would be"]]
-    for change in changes:
+    for change in result.changes:
         cells = [", ".join(_cells(result, shown, change, name)) for name in names]
         if change.name == "threshold":  # a range
             cells = [cell.replace(", ×", " to") for cell in cells]
@@ -449,15 +496,15 @@ def _moving(result: Fitted, shown: dict[str, Shown], changes: Sequence[Change]) 
     return _aligned(rows, str.ljust, indent="")
 
 
-def _cells(result: Fitted, shown: dict[str, Shown], change: Change, name: str) -> Iterator[str]:
-    """Each move of a change; with a remark where more than one value would fit, of which it is the first."""
+def _cells(result: "FitResult", shown: dict[str, Shown], change: Change, name: str) -> Iterator[str]:
+    """Each move of a change, remarked on where several fit."""
     for i, by in enumerate(change.moves.get(name, ())):
         several = i < len(change.several) and change.several[i] and not math.isnan(by)
         yield _move(result, shown, change, name, by) + " (one of several)" * several
 
 
-def _move(result: Fitted, shown: dict[str, Shown], change: Change, name: str, by: float) -> str:
-    """How far a change moves a parameter: ``+5.0 %``, ``× 5.7``, ``-0.12 mm`` or ``none fits``."""
+def _move(result: "FitResult", shown: dict[str, Shown], change: Change, name: str, by: float) -> str:
+    """Write a move: ``+5.0 %``, ``× 5.7``, ``-0.12 mm`` or ``none fits``."""
     if math.isnan(by):
         return change.otherwise
     if not result.parameters.named(name).log:
@@ -469,8 +516,8 @@ def _move(result: Fitted, shown: dict[str, Shown], change: Change, name: str, by
     return text[1:] if text[1:] == "0.0 %" else text
 
 
-def _table(result: Fitted) -> list[str]:
-    """Tabulate the lengths: where, height, measured with the σ used, fitted, and how far that is off."""
+def _table(result: "FitResult") -> list[str]:
+    """Tabulate the lengths: measured with the σ used, fitted, misfit."""
     m, (scale, unit), (counted, numbers) = result.measurements, result.measurements.unit, result.measurements.numbered
     known = result.identifiability is not Identifiability.NO_SCATTER  # whether σ has a size
     several, push = len(set(m.specimen)) > 1, m.push_height if result.parameters.front.body == "block" else None
@@ -498,8 +545,8 @@ def _table(result: Fitted) -> list[str]:
     return _aligned(rows, str.rjust)
 
 
-def _further(result: Fitted) -> list[str]:
-    """Summarise the data other than lengths: how many, how well they are fitted, and the worst."""
+def _further(result: "FitResult") -> list[str]:
+    """Summarise the data other than lengths: number, fit, and the worst."""
     rows = ["Other data"] * bool(result.further)
     for one in result.further:
         off, worst = one.residuals, int(np.argmax(np.abs(one.residuals)))
@@ -511,7 +558,7 @@ def _further(result: Fitted) -> list[str]:
 # --- details --------------------------------------------------------------------------------------------------------------
 
 
-def _details(result: Fitted, shown: dict[str, Shown]) -> list[str]:
+def _details(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
     """Everything that the result rests on, and intervals at both levels."""
     m, q = result.measurements, result.parameters
     scale, unit = m.unit
@@ -549,7 +596,7 @@ def _details(result: Fitted, shown: dict[str, Shown]) -> list[str]:
     return rows
 
 
-def _ratios(result: Fitted) -> str:
+def _ratios(result: "FitResult") -> str:
     """State the range of k/K, and why it is not one number."""
     q, m = result.parameters, result.measurements
     ratio = ends(q.inputs_at(result.theta).ratio, 4)
@@ -560,8 +607,8 @@ def _ratios(result: Fitted) -> str:
     return f"{ratio}, {', '.join(why)}" if " to " in ratio else ratio
 
 
-def _inputs(result: Fitted, shown: dict[str, Shown]) -> list[str]:
-    """Fitted values of inputs with an error of their own, and their pulls."""
+def _inputs(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
+    """Fitted values of inputs with errors, and their pulls."""
     priors = [(one.name, one.prior_mean, one.prior_sigma) for one in _beside(result)]
     each = ", inputs separately for each specimen" * (len(set(priors)) < len(priors))
     rows = [f"  also fitted, within their errors{each}:"] * bool(result.inputs)
@@ -572,8 +619,8 @@ def _inputs(result: Fitted, shown: dict[str, Shown]) -> list[str]:
     return rows
 
 
-def _regime(result: Fitted) -> str:
-    """State b and where contacts break again, and the slow decay length next to the length of the block."""
+def _regime(result: "FitResult") -> str:
+    """State b, the slow decay length, and where contacts break again."""
     at, front, (scale, unit) = result.regime, result.parameters.front, result.measurements.unit
     decay, shortest = ends(at.slow_decay_length * scale), ends(4 * (at.slow_decay_length * scale))
     if front.body == "block":
@@ -591,23 +638,14 @@ def _regime(result: Fitted) -> str:
 # --- remarks --------------------------------------------------------------------------------------------------------------
 
 
-def _mistakes(result: Fitted) -> Iterator[str]:
-    return likely_mistakes(result.measurements, prestressed="prestress" in {one.name for one in result.parameters.free})
+def notes(result: "FitResult") -> list[str]:
+    """Remarks to read before using the numbers, most about the data."""
+    shown = _shown(result, {})
+    first = *_of_data(result, shown), *_of_sigma(result), *_of_pulls(result, shown), *_of_shape(result, shown)
+    return [*first, *result.suspicions, *_of_attainable(result), *_of_model(result)]
 
 
-def notes(result: Fitted) -> Iterator[str]:
-    """Remarks to read before using the numbers, most of them about the data."""
-    shown = shown_with(result)
-    yield from _of_data(result, shown)
-    yield from _of_sigma(result)
-    yield from _of_pulls(result, shown)
-    yield from _of_shape(result, shown)
-    yield from _mistakes(result)
-    yield from _of_attainable(result)
-    yield from _of_model(result)
-
-
-def _of_data(result: Fitted, shown: dict[str, Shown]) -> Iterator[str]:
+def _of_data(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
     m, p = result.measurements, result.problem.p
     if m.other:
         yield f"columns kept but not used: {', '.join(m.other)}"
@@ -646,7 +684,7 @@ def _of_data(result: Fitted, shown: dict[str, Shown]) -> Iterator[str]:
         yield "no young_GPa: the data determine the areal stiffness only as its ratio to Young's modulus"
 
 
-def _of_sigma(result: Fitted) -> Iterator[str]:
+def _of_sigma(result: "FitResult") -> Iterator[str]:
     m = result.measurements
     if m.length_sigma is None:
         yield "no standard errors were given: equal errors were assumed, and their size taken from the scatter about the fit"
@@ -661,8 +699,8 @@ def _of_sigma(result: Fitted) -> Iterator[str]:
         yield f"loss: {result.problem.loss}; outliers count less than their σ implies"
 
 
-def _of_pulls(result: Fitted, shown: dict[str, Shown]) -> Iterator[str]:
-    """Name the inputs that the lengths pull farther from their stated values than chance would.
+def _of_pulls(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
+    """Name the inputs that the lengths pull farther than chance would.
 
     The difference between fitted and stated value scatters by √(σ² − s²), with the stated error σ and that of the fit, s.
     """
@@ -689,8 +727,8 @@ def _of_pulls(result: Fitted, shown: dict[str, Shown]) -> Iterator[str]:
     yield f"the lengths pull {which}, more than chance would: {'; or '.join(checks)}"
 
 
-def _of_shape(result: Fitted, shown: dict[str, Shown]) -> Iterator[str]:
-    """Name the parameters whose 68 % interval differs from value ± standard error."""
+def _of_shape(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
+    """Name parameters whose 68 % interval differs from ± the error."""
     for name in result.names:
         this, by = shown[name], shown[name].sides
         if this.prior or math.inf in by or np.abs(by - 1).max() <= UNEVEN:
@@ -707,7 +745,7 @@ def _of_shape(result: Fitted, shown: dict[str, Shown]) -> Iterator[str]:
         )
 
 
-def _of_attainable(result: Fitted) -> Iterator[str]:
+def _of_attainable(result: "FitResult") -> Iterator[str]:
     """Warn of lengths near or above the longest that any stiffness gives."""
     m, attainable, front = result.measurements, result.attainable, result.parameters.front
     if not any(one.name in STIFFNESSES for one in result.parameters.free):
@@ -733,8 +771,11 @@ def _of_attainable(result: Fitted) -> Iterator[str]:
         yield f"{some} {nearly}{ceiling * (front.body == 'slider')}"
 
 
-def _of_model(result: Fitted) -> Iterator[str]:
-    """Say where the search, the definition of a length, the edge contact or the end of a block leave a result uncertain."""
+def _of_model(result: "FitResult") -> Iterator[str]:
+    """Say where the model leaves a result uncertain.
+
+    Its search, the definition of a length, the edge contact, or the end of a block.
+    """
     m, front = result.measurements, result.parameters.front
     if front.event == "domino" and result.fitted.max() >= MOST_CONTACTS:
         yield f"an end of the block and a machine were not tried: fronts of more than {MOST_CONTACTS:g} contacts take long"

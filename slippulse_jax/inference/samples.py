@@ -1,4 +1,4 @@
-"""Samples of the fitted parameters: refits of simulated or resampled measurements, or draws from the posterior.
+"""Samples of the fitted parameters: refits, or draws from the posterior.
 
 All refits of a bootstrap are one batch. The posterior is sampled by the No-U-Turn sampler, which needs the extra ``bayes``
 (numpyro and ArviZ). Its density is that of the fit (`slippulse_jax.inference.likelihood.log_density`); a parameter without a
@@ -19,13 +19,15 @@ from scipy.special import expit, logit
 
 from slippulse_jax.domains import check_choice
 from slippulse_jax.files import plain
-from slippulse_jax.inference.fitted import LEVELS, Fitted
+from slippulse_jax.inference.intervals import LEVELS
 from slippulse_jax.inference.likelihood import STUDENT_DOF, Problem
 from slippulse_jax.inference.minimise import Convergence, minimise
 from slippulse_jax.inference.parameters import Free
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from slippulse_jax.inference.result import FitResult
 
 Bootstrap = Literal["parametric", "case"]
 """Kinds of a bootstrap."""
@@ -85,7 +87,9 @@ class Samples:
         return float(low), float(high)
 
     def to_arviz(self) -> Any:
-        """Return the samples as ArviZ takes them: ``az.summary``, ``az.plot_trace``; needs the extra ``bayes``.
+        """Return the samples for ArviZ; needs the extra ``bayes``.
+
+        As ``az.summary`` and ``az.plot_trace`` take them.
 
         Returns
         -------
@@ -110,12 +114,18 @@ class Samples:
 
     @cached_property
     def diagnostics(self) -> "pd.DataFrame":
-        """ArviZ's diagnostics of convergence, one row per parameter; of a posterior of at least two chains."""
+        """ArviZ's diagnostics of convergence, one row per parameter.
+
+        Of a posterior of at least two chains.
+        """
         return _arviz().summary(self.to_arviz(), kind="diagnostics", round_to="none").loc[list(self.names)]
 
     @property
     def converged(self) -> bool:
-        """Of a posterior: R-hat ≤ 1.01, at least 400 effective samples, and no divergence; of refits, whether all converged."""
+        """Whether chains mix, or all refits converged.
+
+        R-hat ≤ 1.01, at least 400 effective samples, and no divergence.
+        """
         if self.kind != "posterior":
             return not self.lost
         table = self.diagnostics
@@ -167,7 +177,7 @@ class Samples:
         return "\n".join(rows)
 
 
-def bootstrap(result: Fitted, count: int = 1000, *, kind: Bootstrap = "parametric", seed: int = 0) -> Samples:
+def bootstrap(result: "FitResult", count: int = 1000, *, kind: Bootstrap = "parametric", seed: int = 0) -> Samples:
     """Refit simulated or resampled measurements `count` times.
 
     Parameters
@@ -205,8 +215,8 @@ def bootstrap(result: Fitted, count: int = 1000, *, kind: Bootstrap = "parametri
     return Samples(kind, seed, free, theta[good], deviance[good], lost)
 
 
-def refitted(result: Fitted, problem: Problem, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """θ, deviance and convergence of the best refit per replicate; converged refits come before others."""
+def refitted(result: "FitResult", problem: Problem, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """θ, deviance, convergence of the best refit, of converged ones first."""
     starts = np.array([one.theta for one in result.roots[:MOST_STARTS]] or [result.theta])
     q, many = result.parameters, len(starts)
     lane = np.repeat(np.arange(count), many)
@@ -217,8 +227,8 @@ def refitted(result: Fitted, problem: Problem, count: int) -> tuple[np.ndarray, 
     return ends.theta.reshape(count, many, -1)[chosen], 2 * value[chosen], good[chosen] & np.isfinite(value[chosen])
 
 
-def simulated(result: Fitted, count: int, rng: np.random.Generator) -> Problem:
-    """Draw measurements from the fitted model, and new values of the inputs from their priors."""
+def simulated(result: "FitResult", count: int, rng: np.random.Generator) -> Problem:
+    """Draw measurements from the fit, and inputs from their priors."""
     problem, q = result.problem, result.parameters
     values, weights = {}, {}
     for data in problem.observed:
@@ -238,7 +248,7 @@ def simulated(result: Fitted, count: int, rng: np.random.Generator) -> Problem:
     return problem.with_replicates(values, weights, means)
 
 
-def _resampled(result: Fitted, count: int, rng: np.random.Generator) -> Problem:
+def _resampled(result: "FitResult", count: int, rng: np.random.Generator) -> Problem:
     problem, n = result.problem, len(result.measurements)
     often = rng.multinomial(n, np.full(n, 1 / n), size=count).astype(float)
     values = {data.observable: np.repeat(data.value, count, axis=0) for data in problem.observed}
@@ -247,7 +257,7 @@ def _resampled(result: Fitted, count: int, rng: np.random.Generator) -> Problem:
 
 
 def posterior(
-    result: Fitted, *, samples: int = 1000, warmup: int = 500, chains: int = 4, seed: int = 0, progress: bool | None = None
+    result: "FitResult", *, samples: int = 1000, warmup: int = 500, chains: int = 4, seed: int = 0, progress: bool | None = None
 ) -> Samples:
     """Sample the posterior of a fit.
 
@@ -288,7 +298,7 @@ def posterior(
     unbounded = unbounded + 1e-3 * np.random.default_rng(seed).standard_normal(unbounded.shape)
 
     def potential(z: Array) -> Array:
-        """−ln posterior over z, θ = low + (high − low)/(1 + e^−z)."""
+        """−ln posterior over the logit of θ in its range."""
         theta = jnp.asarray(low + (high - low) * jax.nn.sigmoid(z))
         return result.problem.traced(theta) - (jax.nn.log_sigmoid(z) + jax.nn.log_sigmoid(-z)).sum()
 
@@ -311,7 +321,7 @@ def posterior(
 
 
 def _arviz() -> Any:
-    """Import ArviZ, which announces its next version, and make sure that there is a sampler too."""
+    """Import ArviZ quietly, and make sure of a sampler."""
     try:
         import numpyro  # noqa: F401  # pyright: ignore[reportMissingImports]
 

@@ -1,4 +1,4 @@
-"""Search for every minimum of the deviance that the data do not exclude.
+"""Search for every minimum of the deviance not excluded by data.
 
 With up to `SCANNED` fitted parameters the deviance is computed on a grid over the whole range, and every local minimum of the
 grid starts a minimisation; with more, the best of `SAMPLES` points of a Sobol sequence do. Nothing is proved by either: a
@@ -8,7 +8,7 @@ valley narrower than the grid is found if a start descends into it, or by the pr
 import dataclasses
 import functools
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -49,7 +49,7 @@ class Grid(NamedTuple):
     deviance: np.ndarray  # (g_1, …, g_p); inf where a front that was measured never stops
 
     def lows(self, axes: Iterable[int]) -> np.ndarray:
-        """Which nodes are no higher than their neighbours along these axes, the first of several as low; bool."""
+        """Mark nodes lower than their neighbours, of equal ones the first."""
         found = np.isfinite(self.deviance)
         for axis in axes:
             here, low = np.moveaxis(self.deviance, axis, 0), np.moveaxis(found, axis, 0)
@@ -58,7 +58,7 @@ class Grid(NamedTuple):
         return found
 
     def starts(self) -> np.ndarray:
-        """Local minima, lowest first; before them the middle of a floor, whose corners may be ends of the range; (s, p)."""
+        """Middle of the lowest floor, then local minima, lowest first; (s, p)."""
         lows = self.lows(range(self.deviance.ndim))
         if not lows.any():
             return self.theta[lows]
@@ -69,7 +69,7 @@ class Grid(NamedTuple):
         return np.concatenate([floor[[middle]], self.theta[lows][ranked]])
 
     def beside(self, j: int, at: np.ndarray, count: int) -> np.ndarray:
-        """Lowest of the local minima over the other parameters, at the node of θ_j next to each value; (len(at), count, p)."""
+        """Lowest minima over the others next to θ_j; (len(at), count, p)."""
         p = self.theta.shape[-1]
         value = np.where(self.lows(axis for axis in range(p) if axis != j), self.deviance, np.inf)
         value, theta = np.moveaxis(value, j, 0), np.moveaxis(self.theta, j, 0)
@@ -118,26 +118,38 @@ class Root:
 
     @functools.cached_property
     def rebreaks(self) -> bool:
-        """Whether, for some measurement, the edge contact breaks again before the front stops, which the model leaves out."""
+        """Whether the edge contact breaks again before some front stops."""
         return bool(self.parameters.front.breaks_again(self.inputs).any())
 
 
-class Found(NamedTuple):
-    """What a search found."""
+class Curve(NamedTuple):
+    """A profile: increasing nodes, with deviance and best θ at each."""
 
-    roots: list[Root]  # within `SLACK` of the least deviance, best first
+    node: np.ndarray  # (g,), θ of the parameter followed
+    deviance: np.ndarray  # (g,)
+    theta: np.ndarray  # (g, p)
+
+
+class Found(NamedTuple):
+    """What a search found, and what follows from it."""
+
+    minima: list[Root]  # within `SLACK` of the least deviance, best first
     theta: np.ndarray  # (p,), of the least deviance met, at a minimum or not
     deviance: float
     unconverged: list[tuple[float, str]]  # deviance and message of the starts that did not converge
     grid: Grid | None  # where one was searched
-    curves: dict[int, Any] = {}  # profiles of the requested parameters, where they were followed
+    curves: dict[int, Curve] = {}  # profiles of the requested parameters, where they were followed
     scatter: float | None = None  # factor on the stated σ, or on 1 λc, by which they match the scatter about the fit
     scatter_dof: float | None = None  # degrees of freedom left over by that
     closest: float | None = None  # relative distance of the lengths from the fit, where it is too small to be scatter
+    roots: tuple[Root, ...] = ()  # minima not excluded at 95 %
+    testable_dof: int | None = None  # degrees of freedom where χ² tests the model
+    attainable: np.ndarray = np.empty(0)  # longest length of each measurement at any stiffness searched, in λc
+    covered: dict[int, tuple[float, float]] = {}  # shares of simulated estimates within 1 and 1.96 standard errors
 
 
 def search(problem: Problem, *, method: Method, max_steps: int, seed: int, extra: np.ndarray | None = None) -> Found:
-    """Find the minima of the deviance within `SLACK` of the least one, best first.
+    """Find the minima within `SLACK` of the least, best first.
 
     Parameters
     ----------
@@ -168,7 +180,7 @@ def search(problem: Problem, *, method: Method, max_steps: int, seed: int, extra
 
 
 def ordered(problem: Problem, roots: Sequence[Root]) -> list[Root]:
-    """Sort minima by deviance, but last those at which the model contradicts itself, if the data accept another.
+    """Sort minima by deviance, last those that contradict the model.
 
     It does where a contact breaks again before the front stops. Of minima equal to rounding the softest comes first, so that
     specimens do not differ by chance.
@@ -187,9 +199,9 @@ def ordered(problem: Problem, roots: Sequence[Root]) -> list[Root]:
 
 
 def between_contacts(problem: Problem, seed: int) -> np.ndarray | None:
-    """Typical error of every length by its definition, or by interpolation, in λc; None where all are small compared with σ.
+    """Typical error of every length by its definition, or by interpolation.
 
-    It is 0 for counts, unless lengths are interpolated.
+    In λc; 0 for counts, unless lengths are interpolated. None where all are small compared with σ.
     """
     data, q = problem.lengths, problem.parameters
     concerned = (data.kind == "length") | q.front.interpolated
@@ -213,10 +225,11 @@ def first_look(problem: Problem, seed: int) -> np.ndarray:
 
 
 def scaled_to_scatter(problem: Problem, theta: np.ndarray, *, of_lengths: bool) -> tuple[Problem, Found]:
-    """Scale σ to the scatter of the data about the fit that is nearest to θ, where only the ratios of σ are known.
+    """Scale σ to the scatter about the fit nearest to θ.
 
-    The deviance of the data is then what it should be, on average, of as many of them as the fit does not use up. Errors of
-    inputs keep the size that is stated for them: a parameter that its prior determines uses up none of the data.
+    Where only the ratios of σ are known. The deviance of the data is then what it should be, on average, of as many of them as
+    the fit does not use up. Errors of inputs keep the size that is stated for them: a parameter that its prior determines uses
+    up none of the data.
 
     Parameters
     ----------
@@ -256,7 +269,7 @@ def scaled_to_scatter(problem: Problem, theta: np.ndarray, *, of_lengths: bool) 
 
 
 def _left_over(problem: Problem, theta: np.ndarray, of_lengths: bool) -> tuple[float, float]:
-    """Deviance of the data whose σ are scaled, and their degrees of freedom."""
+    """Deviance and degrees of freedom of data whose σ are scaled."""
     scaled, deviance = problem.observed[: 1 if of_lengths else None], 0.0
     for data in scaled:
         mu = problem.predict(theta, data.observable)
@@ -268,7 +281,7 @@ def _left_over(problem: Problem, theta: np.ndarray, of_lengths: bool) -> tuple[f
 
 
 def grid_of(problem: Problem) -> Grid | None:
-    """Compute the deviance on a grid over the range searched; None with more than `SCANNED` parameters."""
+    """Compute the deviance on a grid; None beyond `SCANNED` parameters."""
     if problem.p > SCANNED:
         return None
     theta = np.stack(np.meshgrid(*first_edges(problem), indexing="ij"), axis=-1)
@@ -295,7 +308,10 @@ def first_edges(problem: Problem) -> list[np.ndarray]:
 
 
 def _counted(problem: Problem, j: int) -> np.ndarray:
-    """Values of θ_j at which a length is in the middle of its count, which may hold in a range narrower than the grid's."""
+    """Values of θ_j at which lengths are amid their counts.
+
+    A count may hold in a range narrower than the grid's.
+    """
     q, data = problem.parameters, problem.lengths
     counts = np.flatnonzero(data.kind == "whole")
     if not len(counts):
@@ -311,13 +327,13 @@ def _counted(problem: Problem, j: int) -> np.ndarray:
 
 
 def _starts(problem: Problem, grid: Grid | None, seed: int) -> np.ndarray:
-    """Choose where to start, (s, p); in the middle of the range where the front stops at no point looked at."""
+    """Choose where to start, (s, p); else the middle of the range."""
     found = _sampled(problem, seed) if grid is None else grid.starts()
     return found if len(found) else (problem.parameters.low + problem.parameters.high)[None] / 2
 
 
 def lowest_look(problem: Problem) -> np.ndarray:
-    """Point of least deviance on the grid, and of a sample where a prior may be narrower than that; shape (p,)."""
+    """Point of least deviance on the grid or at a prior."""
     points = _starts(problem, grid_of(problem), 0)
     if problem.prior_weight.any():
         points = np.concatenate([points, _sampled(problem, 0)])
@@ -342,7 +358,7 @@ def _sampled(problem: Problem, seed: int) -> np.ndarray:
 
 
 def _tops(problem: Problem) -> np.ndarray:
-    """θ at which each length is longest, for up to `CROWDED` different lengths.
+    """θ at which each of a few lengths is longest.
 
     With more, each with its own peak, no single length makes a pair of roots.
     """
@@ -356,7 +372,7 @@ def _tops(problem: Problem) -> np.ndarray:
 
 
 def distinct(problem: Problem, theta: np.ndarray, deviance: np.ndarray, flat: np.ndarray) -> list[Root]:
-    """Keep each minimum once; the first point of a flat floor or valley stands for all of it."""
+    """Keep each minimum once, and of a flat floor its first point."""
     kept: list[Root] = []
     for point, value, is_flat in zip(theta, deviance, flat, strict=True):
         if is_flat and not problem.predict(point).any():
@@ -397,7 +413,7 @@ def describe(problem: Problem, theta: np.ndarray, deviance: float) -> Root:
 
 
 def _share(metric: np.ndarray, curvature: np.ndarray) -> float:
-    """Least share of the metric in the second derivative, over all directions with curvature."""
+    """Least share of the metric in the second derivative, along any direction."""
     unit = np.sqrt(np.maximum(np.maximum(np.abs(np.diag(curvature)), np.diag(metric)), 1e-300))
     values, vectors = np.linalg.eigh(curvature / np.outer(unit, unit))
     curved = values > 1e-8
@@ -407,7 +423,7 @@ def _share(metric: np.ndarray, curvature: np.ndarray) -> float:
 
 
 def undetermined_axes(information: np.ndarray) -> np.ndarray:
-    """Which parameters are part of a direction that the information leaves open, to rounding; bool, (p,).
+    """Mark parameters of a direction that the information leaves open; (p,).
 
     `information` is that of each parameter in units of the range searched for it: a standard error of a million such ranges
     is rounding as well.

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slippulse_jax.inference.columns import READINGS
-from slippulse_jax.inference.fitted import LEVELS, Identifiability
 from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.intervals import profile_2d
-from slippulse_jax.inference.predicted import abscissa, alike, on_one_curve
-from slippulse_jax.inference.report import CONSTANTS, TIED, Shown, folded, sentences, shown_with
+from slippulse_jax.inference.intervals import LEVELS, profile_2d
+from slippulse_jax.inference.predicted import alike
+from slippulse_jax.inference.report import title
+from slippulse_jax.inference.verdict import Identifiability
 from slippulse_jax.plot.labels import as_written, axis_label, equation, printed
 from slippulse_jax.plot.style import (
     ABOVE,
@@ -29,7 +29,6 @@ from slippulse_jax.plot.style import (
     letter_panels,
     new_figure,
 )
-from slippulse_jax.shown import ends, value_with_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,8 +50,6 @@ MARKERS, BEYOND = "osDXv<>P", "^"
 """Of specimens, and of fronts without arrest."""
 MEASURED = "measured"
 """Name of the measurements where no specimens are told apart."""
-MOST_VALUES = 4
-"""Most parameters in a title."""
 TITLE, LINE = 140, 0.13
 """Most characters per line of a title, and the height of a line in inches."""
 GAUGE_POINTS = 801
@@ -60,16 +57,16 @@ GAUGE_UNITS = {"slip": (1e6, "slip (µm)"), "stress": (1e-6, "contact stress aft
 
 
 def fit(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
-    """Draw a fit: lengths against height with residuals below, and length versus stiffness or the profiles.
+    """Draw a fit: lengths, residuals, and length versus stiffness or profiles.
 
-    A single stiffness is drawn against the lengths. Of several parameters the profiles of the first four are drawn, without
-    those that a prior holds if there are others; `fit_profiles` draws all. The title has the result, the material and the
-    specimens. With `ax`, the panels take its place.
+    Lengths are drawn against height. A single stiffness is drawn against the lengths. Of several parameters the profiles of the
+    first four are drawn, without those that a prior holds if there are others; `fit_profiles` draws all. The title has the
+    result, the material and the specimens. With `ax`, the panels take its place.
     """
     names = _determined(result)[:MOST_PROFILES]
-    title = [as_written(line, TITLE) for line in _title(result)]
-    with new_figure(PAGE, max(3.9, 1.5 + 1.4 * len(names)) + LINE * len(title), ax) as figure:
-        figure.suptitle("\n".join(title), x=0.01, ha="left", fontsize="small")
+    heading = [as_written(line, TITLE) for line in title(result, TITLE)]
+    with new_figure(PAGE, max(3.9, 1.5 + 1.4 * len(names)) + LINE * len(heading), ax) as figure:
+        figure.suptitle("\n".join(heading), x=0.01, ha="left", fontsize="small")
         grid = figure.add_gridspec(2, 2, height_ratios=[4, 1])
         above, right = figure.add_subplot(grid[0, 0]), grid[:, 1]  # where one panel is level with the lengths
         others = [figure.add_subplot(place) for place in (right.subgridspec(len(names), 1) if len(names) > 1 else [right])]
@@ -88,7 +85,7 @@ def fit(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
 
 
 def _determined(result: "FitResult") -> list[str]:
-    """Names of the requested parameters that are not inputs, held by their prior; all where no other is left."""
+    """Names of requested parameters that no prior holds, else all."""
     q, covariance = result.parameters, result.covariance
     prior = np.array([one.prior_sigma for one in q.free])
     error = np.full(len(prior), np.inf) if covariance is None else np.sqrt(np.diag(covariance))
@@ -97,7 +94,7 @@ def _determined(result: "FitResult") -> list[str]:
 
 
 def _profiles(result: "FitResult", panels: "list[tuple[str, Axes]]") -> None:
-    """Draw the profiles of some parameters one below the other, under one legend."""
+    """Draw profiles one below the other, under one legend."""
     entries: dict[str, Any] = {}
     for name, panel in panels:
         _profile(result, name, panel)
@@ -109,47 +106,15 @@ def _profiles(result: "FitResult", panels: "list[tuple[str, Axes]]") -> None:
             legend.remove()
     every = result.measurements.option("--profiles FILE", "sp.plot.fit_profiles(result)")
     some = f"{len(panels)} of {len(result.names)} parameters; all by {every}"
-    title = textwrap.fill(some, 48) if len(panels) < len(result.names) else None
-    legend_above(panels[0][1], [*entries.values()], most=2, labels=[*entries], title=title)
+    head = textwrap.fill(some, 48) if len(panels) < len(result.names) else None
+    legend_above(panels[0][1], [*entries.values()], most=2, labels=[*entries], title=head)
 
 
 def _profile(result: "FitResult", name: str, ax: "Axes") -> None:
-    """Draw a profile in the colour of the specimen whose parameter it is, where the lengths have one curve for each."""
+    """Draw a profile in the colour of its specimen's curve, if any."""
     specimen = result.measurements.specimen
     own = [color for color, rows in _curves(result, ax) if specimen and f"[{specimen[rows[0]]}" in name]
     profile(result, name, ax=ax, color=own[0] if len(own) == 1 else None)
-
-
-def _title(result: "FitResult") -> Iterator[str]:
-    """Quote the box of the report, and the constants of the material."""
-    shown, free = shown_with(result, result.changes), result.parameters
-    names = [name for name in result.names if not (free.named(name).name in CONSTANTS and shown[name].prior)] or result.names
-    given = [name for name in names if name in result.given]
-    yield from (shown[name].in_words(result) for name in given[:MOST_VALUES])
-    if len(given) > MOST_VALUES:
-        yield f"… and {len(given) - MOST_VALUES} more"
-    constants = ", ".join(text.replace(" ", TIED) for text in _constants(result, shown))
-    yield from folded(" ".join([*sentences(result, result.changes), constants]), TITLE)
-
-
-def _constants(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
-    """List E, ν and λc; where they have an error, with the fitted value, or the stated one if there is no sound fit."""
-    q, covariance = result.parameters, None if _rejected(result) else result.covariance
-    for name, (sign, size, unit) in CONSTANTS.items():
-        stated, own = getattr(result.measurements, name), [one for one in q.free if one.name == name]
-        if stated is None or not all(shown[one.label].prior for one in own):
-            continue  # a parameter without a prior is a result
-        if not own:
-            yield f"{sign} = {ends(stated * size, 4)}{unit}"
-            continue
-        theta, error = np.array([(one.prior_mean, one.prior_sigma) for one in own]).T
-        if covariance is not None:
-            each = [q.index(one.label) for one in own]
-            theta, error = result.theta[each], np.sqrt(np.diag(covariance)[each])
-        value = own[0].value(theta) * size
-        error = error * (value if own[0].log else size)
-        text = value_with_error(value[0], error[0]) if len(own) == 1 else f"{ends(value, 3)} ± {error.max():.2g}"
-        yield f"{sign} = {text}{unit} ({'stated' if covariance is None else 'fitted'})"
 
 
 def fit_profiles(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
@@ -235,7 +200,7 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     ax = axes(ax)
     c = colours(ax)
     m = result.measurements
-    (scale, unit), along, groups = m.unit, abscissa(result), _curves(result, ax)
+    (scale, unit), along, groups = m.unit, result.groups[0], _curves(result, ax)
     at = getattr(m, along)
     top, curves, bands = 0.0, [], []
     for (color, rows), name in zip(groups, _curve_names(result, groups), strict=True):
@@ -250,7 +215,7 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
         longest = _longest(result, rows, height, along, curve) * size
         curves.append((x, longest, curve.breaks_again.any()))
         dashed_where(ax, x, curve.length * size, curve.breaks_again, color=color, label=name)
-        for low, high in () if _rejected(result) else curve.bands:
+        for low, high in () if result.rejected else curve.bands:
             ax.fill_between(x, low * size, high * size, color=color, alpha=0.25, lw=0)
             bands.append(np.max(high - low))
         ax.plot(x, longest, color=c.grey, lw=0.8)
@@ -258,13 +223,13 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     x, longest, _ = max(curves, key=lambda one: np.nanmax(one[1], initial=0.0))
     label = "longer than the model allows"
     beyond = ax.fill_between(x, longest, 10 * np.nanmax(longest, initial=0.0), color=c.grey, alpha=0.15, lw=0, label=label)
-    _draw_data(result, ax, along)
-    _draw_fitted(result, ax, along, 0.01 * top)
+    _draw_data(result, ax)
+    _draw_fitted(result, ax, 0.01 * top)
     ax.set(xlabel=axis_label(along, unit), ylabel=axis_label("length", unit))
     ax.margins(x=0, y=0)
     ax.set_ylim(0, top)
     handles = handles_of(ax, again=any(again for *_, again in curves))
-    if not _rejected(result):
+    if not result.rejected:
         thin = max(bands, default=0) < 0.012 * m.length.max()
         label = f"{BAND_LEVEL:.0%} band" + " (thinner than the line)" * bool(thin)
         band = Patch(color=c.blue if len(groups) == 1 else c.ink, alpha=0.25, lw=0, label=label)
@@ -274,7 +239,7 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
 
 
 def _longest(result: "FitResult", rows: np.ndarray, height: np.ndarray, along: str, curve: "LengthCurve") -> np.ndarray:
-    """Longest length at each height, in λc; NaN where a block is run through.
+    """Longest length at each height, in λc; NaN where none stops.
 
     Where each costs many whole events, it is in proportion to the height as at the two nearest that were measured, or the
     fitted length if that is longer.
@@ -287,9 +252,9 @@ def _longest(result: "FitResult", rows: np.ndarray, height: np.ndarray, along: s
     return np.where(np.isfinite(longest), longest, np.nan)
 
 
-def _draw_data(result: "FitResult", ax: "Axes", along: str) -> None:
+def _draw_data(result: "FitResult", ax: "Axes") -> None:
     m, kind, scale = result.measurements, np.array(result.measurements.kind), result.measurements.unit[0]
-    x, y, sigma = _apart(result, along), m.length * scale, result.sigma * scale
+    x, y, sigma = _apart(result), m.length * scale, result.sigma * scale
     style: dict[str, Any] = {"capsize": 2, "zorder": 3, "linestyle": "none"}
     for marker, color, name, rows in _series(result, ax):
         plain, whole, beyond = (rows[kind[rows] == one] for one in ("length", "whole", "at_least"))
@@ -303,9 +268,10 @@ def _draw_data(result: "FitResult", ax: "Axes", along: str) -> None:
             ax.plot(x[beyond], y[beyond], BEYOND, color=color, ms=6, label="at least this long: no arrest seen")
 
 
-def _draw_fitted(result: "FitResult", ax: "Axes", along: Any, visible: float) -> None:
-    """Mark fitted lengths farther than `visible` from the curve, which is drawn for the mean inputs of its points."""
-    m, fitted, scale, x = result.measurements, result.fitted, result.measurements.unit[0], _apart(result, along)
+def _draw_fitted(result: "FitResult", ax: "Axes", visible: float) -> None:
+    """Mark fitted lengths farther than `visible` from their mean curve."""
+    m, fitted, along, x = result.measurements, result.fitted, result.groups[0], _apart(result)
+    scale = m.unit[0]
     for color, rows in _curves(result, ax):
         curve = result.curve(rows, getattr(m, along)[rows], along=along).length
         off = rows[np.isfinite(fitted[rows]) & (np.abs(fitted[rows] - curve) * scale[rows] > visible)]
@@ -316,12 +282,15 @@ def _draw_fitted(result: "FitResult", ax: "Axes", along: Any, visible: float) ->
 
 def _curves(result: "FitResult", ax: "Axes") -> list[tuple[str, np.ndarray]]:
     """Colour and measurements of each curve."""
-    groups = on_one_curve(result)
+    groups = result.groups[1]
     return list(zip(_palette(colours(ax), len(groups)), groups, strict=True))
 
 
 def _series(result: "FitResult", ax: "Axes") -> Iterator[tuple[str, str, str, np.ndarray]]:
-    """Marker, colour, name and measurements of each specimen on each curve; the colour is the curve's if there are several."""
+    """Marker, colour, name and measurements of each specimen per curve.
+
+    The colour is the curve's if there are several.
+    """
     curves, specimen = _curves(result, ax), np.array(result.measurements.specimen)
     names = list(dict.fromkeys(specimen.tolist()))
     if not 1 < len(names) <= len(MARKERS):
@@ -335,7 +304,7 @@ def _series(result: "FitResult", ax: "Axes") -> Iterator[tuple[str, str, str, np
 
 
 def _palette(c: Colours, count: int) -> Sequence[str]:
-    """As many different colours: from a scale where they are more than the colours for data."""
+    """Choose different colours, of many from a scale."""
     if count <= len(c.data):
         return c.data[:count]
     from matplotlib import colormaps
@@ -344,11 +313,15 @@ def _palette(c: Colours, count: int) -> Sequence[str]:
     return [to_hex(colormaps["viridis"](0.95 * number / (count - 1))) for number in range(count)]
 
 
-def _apart(result: "FitResult", along: str) -> np.ndarray:
-    """Places of the measurements along the axis, in the unit of the table; those that coincide on a curve a little apart."""
+def _apart(result: "FitResult") -> np.ndarray:
+    """Places of measurements along the axis, in the table's unit.
+
+    Those that coincide on a curve are a little apart.
+    """
+    along, groups = result.groups
     at = getattr(result.measurements, along) * result.measurements.unit[0]
     x, step = at.copy(), 0.012 * (np.ptp(at) or 0.3 * np.abs(at).max())
-    for group in on_one_curve(result):
+    for group in groups:
         for value in np.unique(at[group]):
             rows = group[at[group] == value]
             reach = min(2, (len(rows) - 1) / 2) * step
@@ -358,13 +331,13 @@ def _apart(result: "FitResult", along: str) -> np.ndarray:
 
 @drawn
 def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
-    """Draw ℓ/H against stiffness for up to six measured heights of the block, or of its push.
+    """Draw ℓ/H against stiffness for up to six measured heights.
 
-    With the measured ℓ/H, and the interval of the stiffness; dashed as in `fit_lengths`.
+    Of the block, or of its push. With the measured ℓ/H, and the interval of the stiffness; dashed as in `fit_lengths`.
     """
     ax = axes(ax)
     c = colours(ax)
-    m, q, (scale, unit), along = result.measurements, result.parameters, result.measurements.unit, abscissa(result)
+    m, q, (scale, unit), along = result.measurements, result.parameters, result.measurements.unit, result.groups[0]
     at = getattr(m, along)
     theta = np.linspace(q.low[0], q.high[0], 301)
     stiffness = np.exp(theta)
@@ -411,7 +384,10 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
 
 
 def _measured_share(result: "FitResult", rows: np.ndarray) -> tuple[float, float]:
-    """Range of ℓ/H measured under one condition: mean ± standard error of lengths; all that counts hold; else no upper end."""
+    """Range of ℓ/H measured under one condition.
+
+    Mean ± standard error of lengths; all that counts hold; else no upper end.
+    """
     m, kind = result.measurements, np.array(result.measurements.kind)[rows]
     measured, counted = rows[kind == "length"], rows[kind == "whole"]
     if len(measured):
@@ -427,12 +403,15 @@ def _measured_share(result: "FitResult", rows: np.ndarray) -> tuple[float, float
 
 @drawn
 def residuals(result: "FitResult", *, along_height: bool = False, ax: "Axes | None" = None) -> "Axes":
-    """Draw (fitted − measured)/σ against the fitted length, or against what `fit_lengths` has along its axis."""
+    """Draw (fitted − measured)/σ against the fitted length.
+
+    Or against what `fit_lengths` has along its axis.
+    """
     ax = axes(ax)
     c = colours(ax)
     m, sigma = result.measurements, result.sigma
-    along = abscissa(result) if along_height else "length"
-    x = _apart(result, along) if along_height else result.fitted * m.unit[0]
+    along = result.groups[0] if along_height else "length"
+    x = _apart(result) if along_height else result.fitted * m.unit[0]
     ax.axhspan(-1, 1, color=c.blue, alpha=0.12, lw=0, label="± σ")
     ax.axhline(0, color=c.grey, lw=0.8)
     limit = np.array(m.kind) == "at_least"
@@ -453,11 +432,11 @@ def residuals(result: "FitResult", *, along_height: bool = False, ax: "Axes | No
 
 @drawn
 def profile(result: "FitResult", name: str, *, color: str | None = None, ax: "Axes | None" = None) -> "Axes":
-    """Draw the profile of the deviance along one parameter, blue unless a color is given.
+    """Draw the profile of the deviance along one parameter.
 
-    All others are fitted anew; lines mark the levels of its intervals, and how far these reach where they are those of
-    simulated measurements, for which no level is the same everywhere. Dashed as in `fit_lengths`, for the lengths on which
-    the parameter acts.
+    Blue unless a color is given. All others are fitted anew; lines mark the levels of its intervals, and how far these reach
+    where they are those of simulated measurements, for which no level is the same everywhere. Dashed as in `fit_lengths`, for
+    the lengths on which the parameter acts.
     """
     ax = axes(ax)
     c = colours(ax)
@@ -466,9 +445,9 @@ def profile(result: "FitResult", name: str, *, color: str | None = None, ax: "Ax
     x, rise = one.value(curve.node), curve.deviance - result.deviance
     inputs = q.inputs_at(curve.theta).map(lambda each: each[:, q.rows_of(j)])
     again = np.array([each.any() for each in q.front.breaks_again(inputs.ravel()).reshape(inputs.poisson.shape)])
-    label = "profile" + " (rejected)" * _rejected(result)
+    label = "profile" + " (rejected)" * result.rejected
     dashed_where(ax, x, rise, again, color=color or c.blue, marker=".", ms=3, label=label)
-    covariance, judged = result.covariance, not _rejected(result)
+    covariance, judged = result.covariance, not result.rejected
     if covariance is not None and judged:
         error = np.sqrt(covariance[j, j])
         off = np.linspace(-3, 3, 101)
@@ -553,7 +532,10 @@ def _window(result: "FitResult", k: int, nodes: int) -> np.ndarray:
 
 
 def _name(one: "Free", axis: "Axis") -> None:
-    """Label a finished axis; a power of ten goes into the unit, where Matplotlib would print it over a neighbour's label."""
+    """Label a finished axis, with a power of ten in the unit.
+
+    Matplotlib would print it over a neighbour's label.
+    """
     unit, (low, high) = one.unit, axis.get_view_interval()
     power = int(np.floor(np.log10(max(abs(low), abs(high), 1e-300))))
     label_decades(axis)
@@ -565,7 +547,7 @@ def _name(one: "Free", axis: "Axis") -> None:
 
 
 def _curve_names(result: "FitResult", groups: list[tuple[str, np.ndarray]]) -> list[str]:
-    """Name the curves by specimen if each has one, and by what differs within a specimen."""
+    """Name the curves by specimen and what differs within one."""
     one = result.parameters.inputs_at(result.theta).take([rows[0] for _, rows in groups])
     specimen = np.array(result.measurements.specimen or ("",) * len(result.measurements))
     owners = [set(specimen[rows]) for _, rows in groups]
@@ -576,20 +558,19 @@ def _curve_names(result: "FitResult", groups: list[tuple[str, np.ndarray]]) -> l
 
 
 def _differing(one: Inputs, alike: list[np.ndarray]) -> list[tuple[str, np.ndarray]]:
-    """Symbol and values of the inputs that differ within one of several selections of rows."""
+    """Symbol and values of inputs that differ within selected rows."""
     numbers = {"$k/K$": one.ratio, "ν": one.poisson, r"$\varphi$": one.prestress, "ε": one.threshold_slope}
     if "log_push" in one.more:
         numbers["$h/H$"] = np.exp(one.get("log_push"))
     return [(sign, x) for sign, x in numbers.items() if any(np.ptp(x[which]) > 1e-9 * np.abs(x).max() for which in alike)]
 
 
-def _rejected(result: "FitResult") -> bool:
-    return result.identifiability in (Identifiability.POOR_FIT, Identifiability.AT_MAXIMUM)
-
-
 def _best(result: "FitResult", specimen: str = "") -> str:
-    """Name the curve of least deviance: not a fit if the model is rejected, nor the best if others fit equally."""
-    if _rejected(result):
+    """Name the curve of least deviance.
+
+    Not a fit if the model is rejected, nor the best if others fit equally.
+    """
+    if result.rejected:
         return "closest (rejected)"
     own = [one.identifiability for name, one in result.verdicts.items() if specimen and f"[{specimen}]" in name]
     alike = {Identifiability.SEVERAL_ROOTS, Identifiability.EQUAL, Identifiability.UNINFORMATIVE}

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from reports import unfolded
 
 from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.fit import fit
@@ -84,12 +85,14 @@ def test_lengths_on_the_plateau_are_named_in_the_remarks(tmp_path):
 
 
 @pytest.mark.ci
-def test_a_prior_in_the_unit_of_the_table_is_said_before_the_fit():
+def test_a_prior_in_the_unit_of_the_table_is_said():
     """It can be fitted, so that it is a warning."""
     done = run("--free", "stiffness", "--free", "height", "--prior", "height=25,1", "--intervals", "profile")
     assert done.exit_code == 0, done.output
     hint = "height = 25 m, where height_mm says 0.025 m: priors, bounds and held values are in m; is it in mm?"
-    assert f"before fitting: {hint}\n" in done.stderr
+    assert done.stderr.count(hint) == 1
+    assert f"check first: {hint}\n" in done.stderr
+    assert f"Check first: {hint}" in unfolded(done.stdout)
 
 
 @pytest.mark.ci

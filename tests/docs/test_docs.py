@@ -21,7 +21,7 @@ from slippulse_jax.bodies.modes import ChainFields
 from slippulse_jax.events.catalogue import Catalogue, EventClass
 from slippulse_jax.events.inertia import Motion
 from slippulse_jax.front.front import FRONT_OUTCOMES
-from slippulse_jax.inference.fitted import Identifiability
+from slippulse_jax.inference.verdict import Identifiability
 from slippulse_jax.status import Outcome
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -101,7 +101,7 @@ def test_every_name_of_the_package_that_a_text_uses_exists():
     assert not is_there("plot.nothing")
 
 
-INSIDE = {"Inputs", "Linear", "Modes", "Springs", "ParameterSet", "Free", "Problem", "Curve", "Fitted"}
+INSIDE = {"Inputs", "Linear", "Modes", "Springs", "ParameterSet", "Free", "Problem", "Curve"}
 """Classes that public records hold for their own use."""
 
 

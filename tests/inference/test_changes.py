@@ -12,7 +12,7 @@ import pytest
 import slippulse_jax as sp
 from slippulse_jax.inference.changes import END, MACHINES, NORMAL, PRESSED, PUSHES
 from slippulse_jax.inference.columns import COLUMNS
-from slippulse_jax.inference.fitted import GIVEN, Identifiability
+from slippulse_jax.inference.verdict import GIVEN, Identifiability
 
 EXAMPLES = Path(__file__).parents[2] / "fit_examples"
 LARGER = {"height": 1.01, "length": 1.01, "young": 1.05, "correlation_length": 0.5, "push_height": 1.05, "friction": 1.1}

@@ -21,10 +21,10 @@ from slippulse_jax.cli.fit import command
 from slippulse_jax.cli.length import command as length_command
 from slippulse_jax.inference import family
 from slippulse_jax.inference.family import Families, geometry_of
-from slippulse_jax.inference.fitted import Identifiability
 from slippulse_jax.inference.fronts import BlockEvent
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.record import as_request, from_request
+from slippulse_jax.inference.verdict import Identifiability
 from slippulse_jax.status import Outcome
 from slippulse_jax.theory import block_decay_length
 

@@ -18,7 +18,6 @@ from slopes import slopes_of
 import slippulse_jax as sp
 from slippulse_jax import Measurements, Parameter, fit, read_measurements
 from slippulse_jax.inference.fit import wanted_parameters
-from slippulse_jax.inference.fitted import Identifiability
 from slippulse_jax.inference.fronts import FirstFront
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.intervals import rise_of
@@ -26,6 +25,7 @@ from slippulse_jax.inference.likelihood import EXPECTED, INFORMATION, Observatio
 from slippulse_jax.inference.observables import predicted
 from slippulse_jax.inference.parameters import parameter_set
 from slippulse_jax.inference.samples import bootstrap
+from slippulse_jax.inference.verdict import Identifiability
 from slippulse_jax.status import Outcome
 
 
@@ -107,9 +107,8 @@ def test_parts_of_a_sum_of_squares():
     problem = make_problem(m, q, "normal", m.sigma)
     theta = np.array([np.log(0.03), 0.31])
     at, mu = problem(theta, order=2), problem.predictions(theta[None])
-    residuals, weight = problem.residuals(mu, theta[None])
+    residuals = problem.residuals(theta[None])
     np.testing.assert_allclose(residuals[0], [*(mu[0] - m.length) / m.length_sigma, 0, 0.5], rtol=1e-12)
-    np.testing.assert_array_equal(weight[0], [2, 1, 0.5])
     assert problem.plain
     assert (problem.count, problem.p) == (4, 2)
     assert at.value[0] == pytest.approx((residuals**2).sum() / 2, rel=1e-12)

@@ -15,9 +15,10 @@ import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.changes import Change, of_inputs, total_interval, total_of_ratio
 from slippulse_jax.inference.family import Families
-from slippulse_jax.inference.fitted import LEVELS, Identifiability
 from slippulse_jax.inference.inputs import Inputs
+from slippulse_jax.inference.intervals import LEVELS
 from slippulse_jax.inference.report import value_with_error
+from slippulse_jax.inference.verdict import Identifiability
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "fit_examples"
 HEIGHT = np.array([250.0, 350.0, 450.0, 550.0, 650.0, 750.0])

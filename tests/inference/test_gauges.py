@@ -16,7 +16,6 @@ import slippulse_jax as sp
 from benchmarks import gauge_coverage
 from slippulse_jax.cli.fit import command
 from slippulse_jax.front.front import readings
-from slippulse_jax.inference.fitted import Identifiability
 from slippulse_jax.inference.fronts import FirstFront
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.likelihood import log_density, make_problem
@@ -25,6 +24,7 @@ from slippulse_jax.inference.minimise import minimise
 from slippulse_jax.inference.observables import predicted
 from slippulse_jax.inference.parameters import parameter_set
 from slippulse_jax.inference.tables import read_measurements
+from slippulse_jax.inference.verdict import Identifiability
 
 LC, YOUNG, STRENGTH, AREAL = 1e-4, 3e9, 2e6, 6e11
 RATIO = AREAL * LC / YOUNG

@@ -10,9 +10,9 @@ from reports import unfolded
 
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
-from slippulse_jax.inference.fitted import Identifiability
 from slippulse_jax.inference.measurements import MeasurementError, Measurements, MeasurementWarning, likely_mistakes
 from slippulse_jax.inference.parameters import Parameter, mistaken_priors
+from slippulse_jax.inference.verdict import Identifiability
 
 HEIGHT = np.array([15.0, 25.0, 40.0, 60.0, 80.0, 100.0])
 NOISE = 0.3 * np.random.default_rng(0).standard_normal(6)

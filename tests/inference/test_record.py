@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
-from slippulse_jax.inference.measurements import MeasurementError
+from slippulse_jax.inference.measurements import MeasurementError, MeasurementWarning
 from slippulse_jax.inference.record import data_hash
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "fit_examples"
@@ -188,6 +188,27 @@ def test_a_loaded_fit_fits_nothing_again(name, tmp_path, monkeypatch, worked):
     assert loaded.to_dict() == content
     loaded.save(tmp_path / "again.json")
     assert json.loads((tmp_path / "again.json").read_text()) == json.loads((tmp_path / "fit.json").read_text())
+
+
+@pytest.mark.ci
+def test_likely_mistakes_are_found_once_and_kept(tmp_path, monkeypatch):
+    """Told by a warning, in the box and in the record; of a record written before it had them they are found again."""
+    m = sp.read_measurements(LENGTHS)
+    longer = dataclasses.replace(m, length=10 * m.length, length_sigma=10 * m.length_sigma)
+    path, earlier = tmp_path / "fit.json", tmp_path / "earlier.json"
+    with pytest.warns(MeasurementWarning) as told:
+        result = sp.fit(longer, ["stiffness", sp.Parameter("height", prior=(25.0, 1.0))], intervals="profile")
+    assert result.suspicions == tuple(str(one.message) for one in told)
+    assert len(result.suspicions) == 2
+    result.save(path)
+    content = json.loads(path.read_text())
+    assert content.pop("suspicions") == list(result.suspicions)
+    earlier.write_text(json.dumps(content))
+    assert sp.load_fit(earlier).suspicions == result.suspicions
+    monkeypatch.setattr("slippulse_jax.inference.record.suspicions", None)
+    loaded = sp.load_fit(path)
+    assert loaded.suspicions == result.suspicions
+    assert loaded.report() == result.report()
 
 
 def test_the_hash_of_the_data_has_specimens_and_provenance():

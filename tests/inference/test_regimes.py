@@ -6,10 +6,10 @@ import random_tables
 
 import slippulse_jax as sp
 from benchmarks.regimes import counts, roots_missed, run, two
-from slippulse_jax.inference.fitted import Identifiability
 from slippulse_jax.inference.intervals import allowed_by_counts
 from slippulse_jax.inference.likelihood import make_problem
 from slippulse_jax.inference.parameters import parameter_set
+from slippulse_jax.inference.verdict import Identifiability
 from slippulse_jax.status import Outcome
 
 

@@ -1,70 +1,30 @@
-"""Record of a fit: values, errors, intervals, roots, and whether the data determine them at all."""
+"""Result of a fit, with its errors, verdicts and report."""
 
 import dataclasses
-import enum
 import functools
 import itertools
+import json
+import os
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import chdtrc
 
+from slippulse_jax.files import write_atomically
+from slippulse_jax.inference import predicted, record, samples
+from slippulse_jax.inference import report as printer
+from slippulse_jax.inference.changes import find_changes, suggestions, total, total_interval, total_of_ratio
 from slippulse_jax.inference.columns import READINGS
 from slippulse_jax.inference.fronts import Regime
-from slippulse_jax.inference.intervals import Curve, Intervals, rise_of
+from slippulse_jax.inference.intervals import LEVELS, Interval, Intervals, rise_of
 from slippulse_jax.inference.likelihood import Problem
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet
-from slippulse_jax.inference.search import Root, describe
-
-LEVELS = (0.6827, 0.95)
-"""Confidence levels of intervals."""
-SCATTERED = 0.05
-"""Probability of χ², or of the largest pull, below which the report remarks on it."""
-
-
-class Identifiability(enum.Enum):
-    """Whether the data determine a parameter; the value is the sentence of the report."""
-
-    IDENTIFIED = "identified"
-    SEVERAL_ROOTS = "not identifiable as one number: more than one value fits"
-    AT_MAXIMUM = "not identifiable: the length is at or above the attainable maximum"
-    ONE_SIDED = "bounded on one side only"
-    AT_BOUND = "not identifiable: the best fit lies at an end of the range searched"
-    SKEWED = "identified, but not with a symmetric error"
-    REBREAKS = "identified for the first front only: in the model the edge breaks again and the event goes on"
-    EQUAL = "bounded, without a best value: all values inside the interval fit equally"
-    UNINFORMATIVE = "not identifiable: no value is preferred"
-    NO_SCATTER = "a value without an error: the lengths agree too closely to be measurements"
-    POOR_FIT = "the model does not describe these data"
-    NOT_CONVERGED = "the search did not converge"
-
-
-GRAVITY = (
-    Identifiability.NOT_CONVERGED, Identifiability.POOR_FIT, Identifiability.UNINFORMATIVE, Identifiability.AT_BOUND,
-    Identifiability.AT_MAXIMUM, Identifiability.NO_SCATTER, Identifiability.SEVERAL_ROOTS, Identifiability.ONE_SIDED,
-    Identifiability.EQUAL, Identifiability.REBREAKS, Identifiability.SKEWED, Identifiability.IDENTIFIED,
-)  # fmt: skip
-
-
-GIVEN = (Identifiability.IDENTIFIED, Identifiability.SKEWED, Identifiability.REBREAKS)
-"""Verdicts with a value."""
-
-
-class Verdict(NamedTuple):
-    """Verdict on one parameter, with its reason."""
-
-    identifiability: Identifiability
-    reason: str = ""
-
-
-def gravest(verdicts: dict[str, Verdict]) -> str:
-    """Name of the parameter with the gravest verdict."""
-    return min(verdicts, key=lambda name: GRAVITY.index(verdicts[name].identifiability))
+from slippulse_jax.inference.search import Curve, Root, describe
+from slippulse_jax.inference.verdict import GIVEN, GRAVITY, Identifiability, Verdict, directions
 
 
 class Further(NamedTuple):
-    """One further observable at the best fit, one entry per datum; in SI."""
+    """One further observable at the best fit, per datum; in SI."""
 
     observable: str
     value: np.ndarray
@@ -79,8 +39,12 @@ class Further(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Fitted:
-    """What a fit found, and what follows from it without another fit."""
+class FitResult:
+    """Result of `fit`. Start with `report()`, `identifiability` and `intervals`.
+
+    What else would move it (`changes`, `next_steps`) is found by fitting again, once, when it is first asked for: by one of
+    these names, or by `report`, `str`, `to_dict` and `save`, which contain them. A result that `load_fit` reads has them.
+    """
 
     measurements: Measurements
     problem: Problem = dataclasses.field(metadata={"written": False})
@@ -98,15 +62,14 @@ class Fitted:
     unconverged: list[str]  # messages of the starts that did not converge and might matter
     attainable: np.ndarray  # longest length of each measurement at any stiffness searched, in λc
     attainable_at: np.ndarray  # k/K where
-    between_contacts: (
-        np.ndarray | None
-    )  # error of interpolation of each length in λc, added to σ in quadrature; None where small
+    between_contacts: np.ndarray | None  # in λc, of each length by interpolation, in σ already; None where small
     covered: dict[str, tuple[float, float]]  # shares of simulated estimates within 1 and 1.96 standard errors, if simulated
+    suspicions: tuple[str, ...] = ()  # likely mistakes of the table or the request, such as another unit
 
     @functools.cached_property
     def roots(self) -> list[Root]:
         """Minima not excluded at 95 %, best first."""
-        return [one for one in self.minima if one.deviance <= self.deviance + self.rise(LEVELS[-1])]
+        return [root for root in self.minima if root.deviance <= self.deviance + self.rise(LEVELS[-1])]
 
     @property
     def calibrated(self) -> bool:
@@ -120,7 +83,7 @@ class Fitted:
 
     @property
     def names(self) -> list[str]:
-        """Requested parameters, by label; inputs fitted only because of their errors are in `inputs`."""
+        """Requested parameters, by label; those beside them are in `inputs`."""
         return list(self.verdicts)
 
     @property
@@ -130,25 +93,36 @@ class Fitted:
 
     @property
     def moved(self) -> list[str]:
-        """Those with a value, or with several of which the first stands for all, that an input can move."""
+        """Parameters that an input can move.
+
+        With a value, or with several of which the first stands for all.
+        """
         several = Identifiability.SEVERAL_ROOTS if self.points else None
         return [name for name, verdict in self.verdicts.items() if verdict.identifiability in (*GIVEN, several)]
 
     @property
     def points(self) -> bool:
-        """Whether what fits are several points, not ranges of values that fit equally."""
+        """Whether several points fit, not ranges of values."""
         return len(self.roots) > 1 and any(error is not None for root in self.roots for error in root.stderrs.values())
 
     @property
     def identifiability(self) -> Identifiability:
         """The gravest verdict on any requested parameter."""
-        return self.verdicts[gravest(self.verdicts)].identifiability
+        return self._gravest[1].identifiability
+
+    @property
+    def _gravest(self) -> tuple[str, Verdict]:
+        return min(self.verdicts.items(), key=lambda item: GRAVITY.index(item[1].identifiability))
+
+    @property
+    def rejected(self) -> bool:
+        """Whether the data reject the model, or lengths exceed its maximum."""
+        return self.identifiability in (Identifiability.POOR_FIT, Identifiability.AT_MAXIMUM)
 
     @property
     def reason(self) -> str:
-        """Why there is no plain standard error; empty where there is one for every parameter."""
-        name = gravest(self.verdicts)
-        reason = self.verdicts[name].reason
+        """Why there is no plain standard error; empty if there is."""
+        name, (_, reason) = self._gravest
         return f"{name}: {reason}" if reason and len(self.verdicts) > 1 else reason
 
     @property
@@ -158,7 +132,7 @@ class Fitted:
 
     @property
     def values(self) -> dict[str, float]:
-        """Values of highest likelihood; k/K too where it is one number for all measurements."""
+        """Values of highest likelihood; k/K too where it is one number."""
         values, ratio = self.parameters.values(self.theta), self.parameters.common_ratio(self.theta)
         if ratio is not None:
             values.setdefault("stiffness", ratio)
@@ -170,7 +144,7 @@ class Fitted:
         return self.parameters.values(self.theta, nuisance=True)
 
     def rise(self, level: float, parameters: int = 1) -> float:
-        """Rise of the deviance at the ends of an interval at this level; for regions of several parameters too."""
+        """Rise of the deviance at ends of intervals, or of regions."""
         return rise_of(level, parameters, self.scatter_dof)
 
     @functools.cached_property
@@ -179,7 +153,7 @@ class Fitted:
 
     @property
     def covariance(self) -> np.ndarray | None:
-        """Covariance of all θ, (p, p), from the Fisher information at the best fit; None where that is singular."""
+        """Covariance of all θ, (p, p); None where the information is singular."""
         return None if self._at_best.singular.any() else self._at_best.covariance
 
     @property
@@ -189,7 +163,7 @@ class Fitted:
 
     @property
     def sigma(self) -> np.ndarray:
-        """Standard error of each length that the fit used, in λc; shape (n,).
+        """Standard error of each length that was used, in λc; (n,).
 
         As stated, or scaled to the scatter; with `between_contacts` added in quadrature. 0 for counts without an error.
         """
@@ -197,7 +171,7 @@ class Fitted:
 
     @property
     def stderrs(self) -> dict[str, float | None]:
-        """Standard error of each of `values`, from the Fisher information; None where `verdicts` say why."""
+        """Standard errors by Fisher information; None where `verdicts` say why."""
         q, sound, values = self.parameters, Identifiability.IDENTIFIED, self.values
         covariance, singular = self._at_best.covariance, self._at_best.singular
         found: dict[str, float | None] = dict.fromkeys(values)
@@ -215,7 +189,7 @@ class Fitted:
 
     @property
     def correlations(self) -> dict[tuple[str, str], float]:
-        """Correlations between fitted parameters (of their θ); empty where the information is singular."""
+        """Correlations between fitted θ; empty where the information is singular."""
         if self.covariance is None:
             return {}
         error = np.sqrt(np.diag(self.covariance))
@@ -224,7 +198,7 @@ class Fitted:
 
     @property
     def stiffness_ratios(self) -> dict[tuple[str, str], tuple[float, float | None]]:
-        """Stiffness of one specimen over that of another, with its standard error, by the labels of both.
+        """Ratios of the stiffnesses of specimens, with standard errors, by labels.
 
         Errors that both share cancel. The error is None where one of the two has none.
         """
@@ -243,14 +217,14 @@ class Fitted:
 
     @functools.cached_property
     def fitted(self) -> np.ndarray:
-        """Lengths of the best fit as they would be measured, with the fitted model factor and offset, in stated λc; (n,)."""
+        """Fitted lengths with model factor and offset, in stated λc; (n,)."""
         return self.problem.predict(self.theta)[0]
 
     @functools.cached_property
     def contacts_broken(self) -> np.ndarray:
-        """Whole contacts that each front breaks, without model factor and offset, which belong to the measurement.
+        """Whole contacts that each front breaks.
 
-        −1 where it never stops; shape (n,).
+        Without model factor and offset, which belong to the measurement. −1 where it never stops; shape (n,).
         """
         front = self.parameters.front.lengths(self.parameters.inputs_at(self.theta))
         stops = np.isfinite(front)
@@ -263,14 +237,17 @@ class Fitted:
 
     @functools.cached_property
     def regime(self) -> Regime:
-        """Find b and 1/κ_2 of each measurement at the best fit; lengths in λc of the table, where λc is fitted too."""
+        """Find b and 1/κ_2 of each measurement at the best fit.
+
+        Lengths in λc of the table, where λc is fitted too.
+        """
         q = self.parameters
         found, contact = q.front.regime(q.inputs_at(self.theta)), np.exp(q.scales["position"](self.theta))
         return found._replace(slow_decay_length=found.slow_decay_length * contact)
 
     @property
     def block_length_over_height(self) -> np.ndarray | None:
-        """L/H of each measurement, NaN for a block without end; None where no length is stated."""
+        """L/H of each measurement, NaN without end; None if not stated."""
         m = self.measurements
         return None if m.block_length is None else m.block_length / m.height
 
@@ -293,20 +270,111 @@ class Fitted:
 
     @property
     def p_value(self) -> float | None:
-        """Probability of so large a misfit if model and σ are right, or its upper bound; None where none is known."""
-        return None if self.testable_dof is None else float(chdtrc(self.testable_dof, self.misfit))
+        """Probability of so large a misfit, or its bound; None if unknown."""
+        return self.problem.p_value(self.deviance, self.testable_dof)
 
     @property
     def misfit(self) -> float:
-        """Deviance beyond that of data which the model meets: χ² for plain lengths."""
+        """Deviance beyond that of a perfect match: χ² for plain lengths."""
         return self.deviance - self.problem.perfect
 
     @property
     def residuals(self) -> np.ndarray:
-        """(fitted − measured)/σ of the lengths, shape (n,); for counts and fronts without arrest what lies outside, else 0."""
+        """(fitted − measured)/σ of the lengths, shape (n,).
+
+        For counts and fronts without arrest what lies outside, else 0.
+        """
         m = self.measurements
         off = self.fitted - m.length
         kind = np.array(m.kind)
         off = np.where(kind == "whole", np.where(off > 0, off, np.minimum(off + 1, 0)), off)
         off = np.where(kind == "at_least", np.minimum(off, 0), off)
         return off / np.where(self.sigma > 0, self.sigma, 1)
+
+    changes = functools.cached_property(find_changes)
+    next_steps = functools.cached_property(suggestions)
+    curve = predicted.curve
+    field = predicted.field
+    bootstrap = samples.bootstrap
+    posterior = samples.posterior
+    notes = property(printer.notes)
+    report = printer.report
+    methods = printer.methods
+    _repr_html_ = printer.html_of
+    to_dict = record.to_dict
+    to_dataframe = record.to_dataframe
+
+    @functools.cached_property
+    def groups(self) -> tuple[predicted.Along, list[np.ndarray]]:
+        """What lengths are drawn against, and which measurements lie on one curve."""
+        along = predicted.abscissa(self)
+        return along, predicted.on_one_curve(self, along)
+
+    @functools.cached_property
+    def totals(self) -> dict[str, tuple[float | None, Interval | None]]:
+        """Total standard error and 68 % interval of each parameter.
+
+        Those of the inputs taken as exact (`changes`); None where there is none.
+        """
+        known = {name: total_interval(self, name, self.changes) if name in self.given else None for name in self.names}
+        return {name: (total(self, name, self.changes), piece) for name, piece in known.items()}
+
+    @functools.cached_property
+    def totals_of_ratios(self) -> dict[tuple[str, str], float | None]:
+        """Total standard errors of `stiffness_ratios`; None where there is none."""
+        return {labels: total_of_ratio(self, labels, self.changes) for labels in self.stiffness_ratios}
+
+    @property
+    def stderrs_with_inputs(self) -> dict[str, float | None]:
+        """Standard errors with usual errors of inputs; None as in `stderrs`."""
+        return {name: error for name, (error, _) in self.totals.items()}
+
+    @property
+    def errors_with_inputs(self) -> dict[str, tuple[float, float] | None]:
+        """Errors to publish, below and above each value.
+
+        The sides of the 68 % interval, each widened by the errors of inputs taken as exact; else the standard error twice. None
+        where there is no value.
+        """
+        found: dict[str, tuple[float, float] | None] = dict.fromkeys(self.names)
+        for name in self.given:
+            value, (error, piece) = self.values[name], self.totals[name]
+            found[name] = None if error is None else (error, error)
+            if piece is not None and piece.encloses(value):
+                found[name] = value - piece.low, piece.high - value
+        return found
+
+    @functools.cached_property
+    def directions(self) -> list[dict[str, Any]]:
+        """`combination`, `stderr`, `coefficients` of combinations, best determined first."""
+        return directions(self.problem, self.theta)
+
+    def __repr__(self) -> str:
+        values = ", ".join(f"{name} = {value:.4g}" for name, value in self.values.items())
+        return f"FitResult({self.identifiability.name}: {values}; report() says more)"
+
+    def __str__(self) -> str:
+        return self.report()
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write JSON as ``slippulse fit --json`` prints it, for `load_fit`."""
+        text = json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+        write_atomically(path, (text + "\n").encode())
+
+
+def load_fit(path: str | os.PathLike[str]) -> FitResult:
+    """Read a fit that `FitResult.save` wrote, or ``slippulse fit --json`` printed.
+
+    Nothing is fitted again: measurements, request, what the search found, and what else would move the result are in the file.
+    What else would move a fit that version 0.2 wrote is found when it is first asked for.
+
+    Raises
+    ------
+    OSError
+        If there is no such file, or it cannot be opened.
+    ValueError
+        If it is no fit, or has another schema.
+    """
+    result, known = record.of_dict(FitResult, record.read_record(path))
+    vars(result).update(known)  # where `cached_property` keeps them
+    return result
