@@ -18,6 +18,7 @@ from slippulse_jax.domains import check_choice, check_whole
 from slippulse_jax.files import write_atomically
 from slippulse_jax.inference import predicted, record, report
 from slippulse_jax.inference.changes import Change, changes, next_steps, total, total_interval
+from slippulse_jax.inference.check import suspicions
 from slippulse_jax.inference.choices import Body, IntervalsBy, Loss, MeasuredEvent, Method, Sigma
 from slippulse_jax.inference.fitted import LEVELS, Fitted
 from slippulse_jax.inference.intervals import (
@@ -33,9 +34,9 @@ from slippulse_jax.inference.intervals import (
     to_be_simulated,
 )
 from slippulse_jax.inference.likelihood import Problem, make_problem
-from slippulse_jax.inference.measurements import Measurements, MeasurementWarning, likely_mistakes
+from slippulse_jax.inference.measurements import Measurements, MeasurementWarning, measurements_of
 from slippulse_jax.inference.objective import problem_of
-from slippulse_jax.inference.parameters import STIFFNESSES, Parameter, attainable, mistaken_priors, wanted_parameters
+from slippulse_jax.inference.parameters import STIFFNESSES, Parameter, attainable, wanted_parameters
 from slippulse_jax.inference.samples import Bootstrap, Samples, bootstrap, posterior
 from slippulse_jax.inference.search import (
     SLACK,
@@ -50,7 +51,6 @@ from slippulse_jax.inference.search import (
     scaled_to_scatter,
     search,
 )
-from slippulse_jax.inference.tables import measurements_of
 from slippulse_jax.inference.verdict import directions, judge
 
 if TYPE_CHECKING:
@@ -310,7 +310,8 @@ def fit(
     given = locals().copy()
     measurements = measurements_of(measurements)
     wanted = wanted_parameters(free, bounds, fixed)
-    _warn_of_mistakes(measurements, wanted)
+    for suspicion in suspicions(measurements, wanted):
+        warnings.warn(suspicion, MeasurementWarning, stacklevel=3)
     request = {"free": wanted} | {name: x for name, x in given.items() if name in record.SETTINGS}
     choices = {"loss": (loss, Loss), "method": (method, Method), "sigma": (sigma, Sigma), "intervals": (intervals, IntervalsBy)}
     for name, (value, known) in choices.items():
@@ -375,12 +376,6 @@ def fit(
         verdicts={name: verdict for name, (verdict, _) in judged.items()},
         intervals=_in_units(problem, best, {name: trusted for name, (_, trusted) in judged.items()}),
     )
-
-
-def _warn_of_mistakes(m: Measurements, wanted: list[Parameter]) -> None:
-    prestressed = any(one.name == "prestress" for one in wanted)
-    for mistake in (*likely_mistakes(m, prestressed=prestressed), *mistaken_priors(m, wanted)):
-        warnings.warn(mistake, MeasurementWarning, stacklevel=4)
 
 
 @contextmanager

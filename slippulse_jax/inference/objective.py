@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slippulse_jax.domains import check_choice
+from slippulse_jax.inference.check import checked
 from slippulse_jax.inference.choices import Body, Loss, MeasuredEvent
 from slippulse_jax.inference.likelihood import Problem, make_problem
-from slippulse_jax.inference.measurements import Measurements
-from slippulse_jax.inference.parameters import Parameter, parameter_set, wanted_parameters, with_errors_of_measuring
+from slippulse_jax.inference.measurements import Measurements, measurements_of
+from slippulse_jax.inference.parameters import Parameter, wanted_parameters, with_errors_of_measuring
 from slippulse_jax.inference.search import lowest_look
-from slippulse_jax.inference.tables import measurements_of
 from slippulse_jax.keywords import did_you_mean
 
 if TYPE_CHECKING:
@@ -129,5 +129,5 @@ def problem_of(
 ) -> Problem:
     """Set up the density of measurements; `size_known` says whether their σ are standard errors, or only their ratios."""
     check_choice("loss", loss, Loss)
-    parameters = parameter_set(m, with_errors_of_measuring(m, wanted, size_known=size_known), event, body)
+    parameters = checked(m, with_errors_of_measuring(m, wanted, size_known=size_known), event, body)
     return make_problem(m, parameters, loss, m.stated_sigma)

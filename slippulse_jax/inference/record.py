@@ -16,12 +16,13 @@ import numpy as np
 
 from slippulse_jax.files import plain, read_whole, shortened
 from slippulse_jax.inference.changes import Change
+from slippulse_jax.inference.check import checked
 from slippulse_jax.inference.choices import Loss
 from slippulse_jax.inference.columns import GAUGE_COLUMNS, NUMERIC
 from slippulse_jax.inference.fitted import Fitted
 from slippulse_jax.inference.likelihood import make_problem
 from slippulse_jax.inference.measurements import Gauges, Measurements
-from slippulse_jax.inference.parameters import Parameter, parameter_set, with_errors_of_measuring
+from slippulse_jax.inference.parameters import Parameter, with_errors_of_measuring
 from slippulse_jax.status import Outcome
 from slippulse_jax.theory import rebreaking_b
 
@@ -154,7 +155,7 @@ def of_dict(content: dict[str, Any]) -> tuple[Fitted, list[Change] | None, list[
     size_known = m.length_sigma is not None and request["sigma"] == "absolute"
     wanted = with_errors_of_measuring(m, request["free"], size_known=size_known)
     request = {**request, "event": request.get("event"), "body": request.get("body")}
-    q = parameter_set(m, wanted, request["event"], request["body"])
+    q = checked(m, wanted, request["event"], request["body"])
     between, scatter = content.get("between_contacts"), content.get("scatter")
     sigma = m.stated_sigma if between is None else np.hypot(m.stated_sigma, np.array(between, dtype=float))
     problem = make_problem(m, q, request["loss"], sigma)

@@ -24,18 +24,18 @@ from slippulse_jax.inference.changes import (
     total_interval,
     total_of_ratio,
 )
-from slippulse_jax.inference.columns import COLUMNS, READINGS
+from slippulse_jax.inference.check import suspicions
+from slippulse_jax.inference.columns import COLUMNS, READINGS, UNITS_OF_LENGTH
 from slippulse_jax.inference.fitted import GIVEN, GRAVITY, LEVELS, SCATTERED, Fitted, Identifiability
 from slippulse_jax.inference.fronts import ENDED
 from slippulse_jax.inference.intervals import Interval
 from slippulse_jax.inference.likelihood import IMPROBABLE
-from slippulse_jax.inference.measurements import Measurements, likely_mistakes
+from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.inference.parameters import OF_MEASURING, STIFFNESSES, Free
 from slippulse_jax.inference.search import SLACK
 from slippulse_jax.inference.verdict import PLATEAU, of_inputs_in_words, tested, whole_events
 from slippulse_jax.shown import TIED, ends, format_number, html, interval, listed, plural, value_with_error
 from slippulse_jax.theory import length_ceiling, rebreaking_b
-from slippulse_jax.units import UNITS_OF_LENGTH
 
 WITHOUT_VALUE = {
     Identifiability.EQUAL: "any in the interval",
@@ -591,8 +591,8 @@ def _regime(result: Fitted) -> str:
 # --- remarks --------------------------------------------------------------------------------------------------------------
 
 
-def _mistakes(result: Fitted) -> Iterator[str]:
-    return likely_mistakes(result.measurements, prestressed="prestress" in {one.name for one in result.parameters.free})
+def _mistakes(result: Fitted) -> tuple[str, ...]:
+    return suspicions(result.measurements, result.parameters.wanted)
 
 
 def notes(result: Fitted) -> Iterator[str]:
