@@ -24,9 +24,9 @@ FAILURE, BAD_INPUT, NOT_CONVERGED, INCOMPLETE, INTERRUPTED = 1, 2, 3, 4, 130
 as_json = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 
 
-def choice(name: str, of: Any, said: str, **options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def choice(name: str, of: Any, text: str, **options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Option that takes one of the values of a ``Literal``."""
-    return click.option(name, type=click.Choice(get_args(of)), help=said, **options)
+    return click.option(name, type=click.Choice(get_args(of)), help=text, **options)
 
 
 right_end = choice("--right", RightEnd, "Right end of the chain.", default="semi-infinite", show_default=True)

@@ -26,6 +26,7 @@ from slippulse_jax.inference.parameters import (
     default_bounds,
     parameter_set,
     ratio_per_unit,
+    stated,
     stated_errors,
     stiffness_name,
     with_names,
@@ -60,10 +61,9 @@ def checked(
         _check_meaning(m, one, [other.name for other in chosen])
     _check_complete(m, chosen)
     front.check(m, {one.name for one in chosen})
-    if stated := {one.name for one in chosen} & stated_errors(m, front).keys():
-        raise ValueError(
-            f"{min(stated)} is to be fitted, and the measurements state its error: give it a prior there, or leave it out here"
-        )
+    for name in {one.name for one in chosen} & stated_errors(m, front).keys():
+        error = "the measurements state its error: give it a prior there, or leave it out here"
+        raise ValueError(f"{name} is to be fitted, and {error}")
     q = parameter_set(m, wanted, front=front)
     _check_domain(m, q)
     _check_reached(m, q)
@@ -221,7 +221,7 @@ def _unlikely(m: Measurements) -> Iterator[str]:
         column, x = COLUMNS[name], getattr(m, name)
         if x is None or (column.unit and not m.in_si) or column.likely is None:
             continue
-        in_si = x * m.correlation_length if name in IN_LC else x
+        in_si = x * m.metres if name in IN_LC else x
         off, own = in_si[~column.likely.holds(in_si)], m.heading(name)
         unit = column.likely_unit(off[0], own) if off.size else ""
         if off.size and (unit or name != "height"):  # a low sample may be what was meant
@@ -233,23 +233,21 @@ def _far_from_the_table(m: Measurements, wanted: Iterable[Parameter]) -> Iterato
     """Find priors, values and bounds far from what the table states."""
     for one in wanted:
         key = next((key for key in ("prior", "value", "bounds") if getattr(one, key) is not None), None)
-        stated = getattr(m, one.name, None)
-        if key is None or stated is None or one.name not in (*HEIGHTS, "young", "correlation_length"):
+        table = stated(m, one.name)
+        if key is None or table is None or one.name not in (*HEIGHTS, "young", "correlation_length"):
             continue
-        if one.name in HEIGHTS and m.correlation_length is not None:
-            stated = stated * m.correlation_length
-        stated = stated[np.isfinite(stated)]
+        table = table[np.isfinite(table)]
         if one.name in HEIGHTS and one.each is None:  # shown as that of the first
-            stated = stated[:1]
+            table = table[:1]
         low, high = getattr(one, key) if key == "bounds" else np.repeat(getattr(one, key), 2)[:2]
-        if max(low / stated.max(), stated.min() / high) > FAR:
+        if max(low / table.max(), table.min() / high) > FAR:
             unit = PARAMETERS[one.name].unit[m.in_si]
-            likely = Domain(stated[0] / USUAL * low / high, stated[0] * USUAL, "")  # of the lower end
+            likely = Domain(table[0] / USUAL * low / high, table[0] * USUAL, "")  # of the lower end
             meant = COLUMNS[one.name].likely_unit(low, likely=likely) if m.in_si else ""
             number = f"{low:g} to {high:g}" if key == "bounds" else f"{low:g}"
-            table = f"where {m.heading(one.name)} says {stated[0]:.4g} {unit}"
+            where = f"where {m.heading(one.name)} says {table[0]:.4g} {unit}"
             asked = f"; is it in {meant}?" * bool(meant)
-            yield f"{one.name} = {number} {unit}, {table}: priors, bounds and held values are in {unit}{asked}"
+            yield f"{one.name} = {number} {unit}, {where}: priors, bounds and held values are in {unit}{asked}"
 
 
 # --- other uses of measurements -----------------------------------------------------------------------------------------

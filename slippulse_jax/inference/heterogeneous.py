@@ -123,8 +123,7 @@ def _lengths(m: Measurements) -> tuple[np.ndarray, np.ndarray]:
     if m.correlation_length is not None and np.ptp(m.correlation_length) > 1e-9 * m.correlation_length[0]:
         raise MeasurementError(f"{m.source}: several correlation lengths: these lengths are not from one interface")
     if m.push_height is not None:
-        column = m.columns.get("push_height", "push_height")
-        raise MeasurementError(f"{m.source}, column {column}: recover_profile takes sliders")
+        raise MeasurementError(f"{m.source}, column {m.heading('push_height')}: recover_profile takes sliders")
     if not np.isfinite(m.sigma).all():
         raise MeasurementError(f"{m.source}: recover_profile needs the standard errors of the lengths")
     whole = np.array(m.kind) == "whole"

@@ -26,6 +26,7 @@ from slippulse_jax.domains import check_domain
 from slippulse_jax.front.front import check_event
 from slippulse_jax.inference.check import check_used, checked
 from slippulse_jax.inference.choices import Body
+from slippulse_jax.inference.columns import NUMERIC
 from slippulse_jax.inference.fronts import front_of
 from slippulse_jax.inference.likelihood import Problem, data_log_density, make_problem
 from slippulse_jax.inference.measurements import MeasurementError, Measurements, held, numbers, table
@@ -46,10 +47,7 @@ STEP = 0.25  # spacing of the outcomes summed over, in standard errors
 SURE = 0.95  # smallest posterior of one root from which the roots count as distinguished
 REPLICATES, POINTS = 8, 512  # scrambled Sobol sequences, and points of each
 
-UNUSED = (
-    "height_sigma", "poisson_sigma", "correlation_length_sigma", "young_sigma", "push_height_sigma", "friction_sigma",
-    "displacement", "displacement_sigma", "force", "force_sigma", "gauges",
-)  # fmt: skip
+UNUSED = (*(one for one in NUMERIC if one.endswith("_sigma") and one != "length_sigma"), "displacement", "force", "gauges")
 """Columns of measurements that are left out: inputs are taken as exact, and lengths alone are used."""
 
 

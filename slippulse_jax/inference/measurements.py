@@ -355,6 +355,11 @@ class Measurements:
         return self.correlation_length is not None
 
     @property
+    def metres(self) -> np.ndarray:
+        """λc in m, or 1 where lengths have no unit; (n,)."""
+        return np.ones(len(self)) if self.correlation_length is None else self.correlation_length
+
+    @property
     def sigma(self) -> np.ndarray:
         """Standard errors of the lengths in λc, NaN where none is given."""
         return np.full(len(self), np.nan) if self.length_sigma is None else self.length_sigma

@@ -259,10 +259,9 @@ def parameter_set(
     """
     wanted = tuple(Parameter(one) if isinstance(one, str) else one for one in wanted)
     front, chosen = front_of(m, event, body) if front is None else front, with_names(m, wanted)
-    log_lc = np.zeros(len(m)) if m.correlation_length is None else np.log(m.correlation_length)
-    log_young = np.zeros(len(m)) if m.young is None else np.log(m.young)
-    stated = np.log(m.height), log_lc - log_young, m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope")
-    inputs = dict(zip(COMMON, stated, strict=True)) | front.stated(m)
+    log_lc, log_young = np.log(m.metres), 0.0 if m.young is None else np.log(m.young)
+    every = np.log(m.height), log_lc - log_young, m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope")
+    inputs = dict(zip(COMMON, every, strict=True)) | front.stated(m)
     base = inputs | {name: log_lc if name == "force" else np.zeros(len(m)) for name in SCALES}
     free: list[Free] = []
     slopes: list[dict[str, np.ndarray]] = []
@@ -299,8 +298,7 @@ def with_errors_of_measuring(m: Measurements, wanted: Sequence[Parameter], *, si
         return list(wanted)
     priors = {"model_factor": (1.0, MODEL_ERROR)}
     if size_known and m.length_sigma is not None:
-        metres = np.ones(len(m)) if m.correlation_length is None else m.correlation_length
-        priors = {"offset": (0.0, float(np.median((m.length_sigma * metres)[of_lengths])))} | priors
+        priors = {"offset": (0.0, float(np.median((m.length_sigma * m.metres)[of_lengths])))} | priors
     named = {one.name for one in wanted}
     return [*wanted, *(Parameter(name, prior=prior, nuisance=True) for name, prior in priors.items() if name not in named)]
 
@@ -316,28 +314,29 @@ def _asked(m: Measurements, chosen: Sequence[Parameter]) -> Iterator[tuple[Param
         groups = {f"{name}[{one}]": np.array([s == one for s in m.specimen]) for one in specimens}
         groups = groups or {name: measured if shared else every}
         for label, rows in groups.items():
-            stated = getattr(m, name, None) if PARAMETERS[name].factor and name not in HEIGHTS else None
-            if parameter.value is None and stated is not None and np.ptp(stated[rows]) > 0:
+            given = getattr(m, name, None) if PARAMETERS[name].factor and name not in HEIGHTS else None
+            if parameter.value is None and given is not None and np.ptp(given[rows]) > 0:
                 raise ValueError(f"parameter {label}: the measurements state more than one value of it; one must be shared")
             yield parameter, label, rows
 
 
 def _acts(m: Measurements, name: str, rows: np.ndarray) -> dict[str, np.ndarray]:
     """What a unit of θ adds to inputs and scales, by measurement."""
-    acts = {target: size * rows for target, size in PARAMETERS[name].acts.items()}
-    if name == "offset" and m.correlation_length is not None:
-        acts["offset"] = rows / m.correlation_length
-    return acts
+    return {target: size * rows / (m.metres if name == "offset" else 1) for target, size in PARAMETERS[name].acts.items()}
+
+
+def stated(m: Measurements, name: str, error: str = "") -> np.ndarray | None:
+    """What the measurements state of a parameter, in its unit; (n,)."""
+    column = getattr(m, name + error, None)
+    return column if column is None or name not in HEIGHTS else column * m.metres
 
 
 def _reference(m: Measurements, name: str) -> np.ndarray:
     """θ of the value stated with the measurements, which adds nothing."""
-    column = getattr(m, name, None)
-    if column is None:
+    value = stated(m, name)
+    if value is None:
         return np.zeros(len(m))
-    if name in HEIGHTS and m.correlation_length is not None:
-        column = column * m.correlation_length
-    return np.log(column) if PARAMETERS[name].log else column
+    return np.log(value) if PARAMETERS[name].log else value
 
 
 def _free(m: Measurements, front: Front, parameter: Parameter, label: str, rows: np.ndarray, reference: float) -> Free:
@@ -347,16 +346,16 @@ def _free(m: Measurements, front: Front, parameter: Parameter, label: str, rows:
     mean, sigma = parameter.prior or (1.0, np.inf)
     if kind.log:
         low, high, mean, sigma = np.log(low), np.log(high), np.log(mean), sigma / mean
-    numbers, unit = (float(low), float(high), mean, sigma), kind.unit[m.correlation_length is not None]
+    numbers, unit = (float(low), float(high), mean, sigma), kind.unit[m.in_si]
     symbol = kind.symbol or front.inputs[parameter.name].symbol
     return Free(label, parameter.name, symbol, unit, kind.log, *numbers, parameter.nuisance)
 
 
 def stated_errors(m: Measurements, front: Front) -> dict[str, np.ndarray]:
-    """Errors of inputs that the measurements state, each of shape (n,)."""
+    """Errors of inputs that the measurements state, as `stated`."""
     of_blocks = ("push_height", "friction") if front.body == "block" else ()
-    errors = {name: getattr(m, f"{name}_sigma") for name in ("height", "poisson", "correlation_length", "young", *of_blocks)}
-    return {name: sigma for name, sigma in errors.items() if sigma is not None and np.nan_to_num(sigma).any()}
+    every = {name: stated(m, name, "_sigma") for name in ("height", "poisson", "correlation_length", "young", *of_blocks)}
+    return {name: sigma for name, sigma in every.items() if sigma is not None and np.nan_to_num(sigma).any()}
 
 
 def _uncertain(m: Measurements, front: Front) -> Iterator[tuple[Parameter, str, np.ndarray]]:
@@ -365,8 +364,7 @@ def _uncertain(m: Measurements, front: Front) -> Iterator[tuple[Parameter, str, 
     Rows of the same specimen, stated value and error share one.
     """
     for name, sigma in stated_errors(m, front).items():
-        in_m = m.correlation_length if name in HEIGHTS and m.correlation_length is not None else 1.0
-        keys = list(zip(m.specimen or ("",) * len(m), getattr(m, name) * in_m, sigma * in_m, strict=True))
+        keys = list(zip(m.specimen or ("",) * len(m), stated(m, name), sigma, strict=True))
         for key in dict.fromkeys(keys):
             specimen, value, error = key
             if error > 0:
@@ -403,7 +401,7 @@ def default_bounds(
         # for blocks, the range in which all have a precursor and b is not too large for any
         all_of = front.body == "block" and lowest.max() < highest.min()
         return (float(lowest.max()), float(highest.min())) if all_of else (float(lowest.min()), float(highest.max()))
-    size = 1.0 if m.correlation_length is None else float(m.correlation_length[rows].max())
+    size = float(m.metres[rows].max())
     own = {"offset": (-longest * size, longest * size), "threshold_slope": (-0.5 / longest, 2 / longest)}.get(name)
     if bounds := PARAMETERS[name].bounds or own:
         return bounds
@@ -419,14 +417,12 @@ def default_bounds(
 
 def ratio_per_unit(m: Measurements) -> np.ndarray:
     """k/K of each measurement per unit of its stiffness; without E, 1."""
-    if m.correlation_length is None:
-        return np.ones(len(m))
-    return m.correlation_length if m.young is None else m.correlation_length / m.young
+    return m.metres if m.young is None else m.metres / m.young
 
 
 def stiffness_name(m: Measurements) -> str:
     """Name of the stiffness that these measurements determine."""
-    if m.correlation_length is None:
+    if not m.in_si:
         return "stiffness"
     return "areal_stiffness_over_young" if m.young is None else "areal_stiffness"
 

@@ -150,11 +150,6 @@ def _numbers(
     return found
 
 
-def of_file(path: str | os.PathLike[str]) -> Table:
-    """Cells of a file."""
-    return rows(read_text(path), os.fspath(path))
-
-
 def read_text(path: str | os.PathLike[str]) -> str:
     """Read a file of UTF-8 text of at most `LARGEST` bytes."""
     name = os.fspath(path)
@@ -173,8 +168,9 @@ def read_text(path: str | os.PathLike[str]) -> str:
     return text.lstrip("\ufeff\u200b")
 
 
-def rows(text: str, name: str) -> Table:
-    """Find the header and the lines of data below it."""
+def of_file(path: str | os.PathLike[str]) -> Table:
+    """Find the header of a file and the lines of data below it."""
+    name, text = os.fspath(path), read_text(path)
     given = _SEPARATOR.match(text)
     separator = (given[1] or "\t") if given else ""
 
