@@ -364,7 +364,9 @@ def _uncertain(m: Measurements, front: Front) -> Iterator[tuple[Parameter, str, 
     Rows of the same specimen, stated value and error share one.
     """
     for name, sigma in stated_errors(m, front).items():
-        keys = list(zip(m.specimen or ("",) * len(m), stated(m, name), sigma, strict=True))
+        column = stated(m, name)
+        assert column is not None  # as it has an error
+        keys = list(zip(m.specimen or ("",) * len(m), column, sigma, strict=True))
         for key in dict.fromkeys(keys):
             specimen, value, error = key
             if error > 0:
