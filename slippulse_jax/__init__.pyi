@@ -23,12 +23,12 @@ from slippulse_jax.inference.fit import fit as fit
 from slippulse_jax.inference.knowledge import Knowledge as Knowledge
 from slippulse_jax.inference.measurements import Gauges as Gauges
 from slippulse_jax.inference.measurements import Measurements as Measurements
+from slippulse_jax.inference.measurements import read_measurements as read_measurements
 from slippulse_jax.inference.mechanism import pulse_or_crack as pulse_or_crack
 from slippulse_jax.inference.objective import objective as objective
 from slippulse_jax.inference.parameters import Parameter as Parameter
 from slippulse_jax.inference.recover import recover_profile as recover_profile
 from slippulse_jax.inference.result import load_fit as load_fit
-from slippulse_jax.inference.tables import read_measurements as read_measurements
 from slippulse_jax.interface import Interface as Interface
 from slippulse_jax.interface import Profile as Profile
 from slippulse_jax.lengths import precursor_lengths as precursor_lengths

@@ -12,6 +12,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.choices import ContactLaw, Control, Top
 from slippulse_jax.domains import FRICTION, HEIGHT, NORMAL_STIFFNESS, POISSON, STIFFNESS, Domain, check_choice, check_kind
 from slippulse_jax.shown import html, in_a_line, short
 from slippulse_jax.slider import Real, Slider, from_si
@@ -21,10 +22,7 @@ if TYPE_CHECKING:
     from slippulse_jax.events.first import Relaxed
     from slippulse_jax.interface import Interface, Profile
 
-Control = Literal["displacement", "force"]
 Plane = Literal["stress", "strain"]
-ContactLaw = Literal["amontons", "multicontact"]
-Top = Literal["free", "held"]
 
 USUAL_NORMAL_STIFFNESS = 1.2
 """k_n/k where thresholds follow the pressure and none is given: (2 − ν)/(2 − 2ν) of rough elastic contacts, 1.21 at ν = 0.3."""

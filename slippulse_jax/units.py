@@ -19,13 +19,6 @@ from slippulse_jax.files import shortened
 Numbers = Array | ArrayLike
 """Types that a constructor accepts as numbers, including sequences."""
 
-SI = {"N_per_mm": 1e3, "N_per_m": 1.0, "mm": 1e-3, "um": 1e-6, "MPa": 1e6, "GPa": 1e9}
-"""Units in which names of columns and options end, in SI."""
-
-UNITS_OF_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
-UNITS_OF_MODULUS = {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9}
-"""Units in which columns of a table of measurements may end, in SI."""
-
 
 def machine_ratio(per_width: Any, young: Any) -> Any:
     """M/K of a machine, from its stiffness over the width of the block, in N/m², and Young's modulus, in Pa.
@@ -34,14 +27,6 @@ def machine_ratio(per_width: Any, young: Any) -> Any:
     (label cra04): M/K = (S/W)/E, whatever λc.
     """
     return per_width / young
-
-
-def split_unit(name: str) -> tuple[str, float]:
-    """Split the unit off a name: ``height_mm`` is the height in units of 1e-3 m; without a unit the factor is 1."""
-    for unit, size in SI.items():
-        if name.lower().endswith("_" + unit.lower()):
-            return name[: -len(unit) - 1], size
-    return name, 1.0
 
 
 F = TypeVar("F", bound=Callable[..., Any])

@@ -1,4 +1,4 @@
-"""Write the pages whose content is read from the code: docs/evidence/errata.md and docs/reference/equations.md.
+"""Write the pages and tables whose content is read from the code: errata, equations, columns of a table.
 
 python docs/tools/generate_pages.py            writes them
 python docs/tools/generate_pages.py --check    fails if one is out of date
@@ -10,14 +10,32 @@ from pathlib import Path
 import equations
 import errata
 
+from slippulse_jax.inference.columns import COLUMNS, OF_GAUGES
+
 DOCS = Path(__file__).resolve().parents[1]
+
+
+def table(columns: dict, heads: tuple[str, ...]) -> str:
+    """Names of the columns, in SI and in λc, and what each holds."""
+    lines = [heads, ["---"] * len(heads)]
+    for one in columns.values():
+        names = [f"`{one.name(form)}`" if one.names(form) else "" for form in (True, False)]
+        lines.append([*names[: len(heads) - 1], one.sentence])
+    return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
+
+
+TABLES = {
+    "tables/columns": table(COLUMNS, ("SI", "lengths in λc", "what")),
+    "tables/gauges": table(OF_GAUGES, ("column", "what")),
+}
 
 
 def main() -> None:
     """Write, or compare, each page."""
     if missing := equations.missing():
         sys.exit("\n".join(missing))
-    for name, text in (("reference/equations", equations.page()), ("evidence/errata", errata.page())):
+    pages = {"reference/equations": equations.page(), "evidence/errata": errata.page(), **TABLES}
+    for name, text in pages.items():
         page = DOCS / f"{name}.md"
         if sys.argv[1:] != ["--check"]:
             page.write_text(text, encoding="utf-8")

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 import slippulse_jax as sp
 from slippulse_jax.files import write_atomically
-from slippulse_jax.inference.block_lengths import BlockLengths
+from slippulse_jax.inference.family import Families
 from slippulse_jax.inference.fronts import pushed
 from slippulse_jax.inference.inputs import Inputs
 
@@ -36,7 +36,7 @@ def shares(height: float, b: np.ndarray, push: np.ndarray, width: float = np.nan
     """ℓ/H of blocks of these b, pushed at these heights over H."""
     inputs = Inputs.of(np.full(b.shape, height), b / (2 * (1 + POISSON) * height), POISSON)
     at = pushed(np.full(b.shape, height), push * height, np.full(b.shape, width * height), [control] * len(b))
-    return BlockLengths()(inputs.given(**at))[0] / height
+    return Families()(inputs.given(**at))[0] / height
 
 
 def bias(height: float, b: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

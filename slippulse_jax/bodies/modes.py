@@ -17,7 +17,7 @@ the mirror of a free end at (N − ½) λc from contact 0, a clamped wall at N �
 then those that lie before (N − ½) λc.
 """
 
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -28,11 +28,10 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.bulk.compiler import in_full
+from slippulse_jax.choices import RightEnd
 from slippulse_jax.domains import MACHINE, check_choice
 from slippulse_jax.slider import Slider, of_one_type
 from slippulse_jax.units import Numbers, as_float
-
-RightEnd = Literal["semi-infinite", "free", "clamped"]
 
 Number = Float[Array, "..."]
 Pair = tuple[Number, Number]

@@ -5,7 +5,20 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slippulse_jax.cli.shared import as_json, contact_law, figure_path, option, print_json, refuse, save_figure, top_of_block
+from slippulse_jax.choices import EventKind
+from slippulse_jax.cli.shared import (
+    as_json,
+    choice,
+    contact_law,
+    figure_path,
+    one_form,
+    option,
+    print_json,
+    push_control,
+    refuse,
+    save_figure,
+    top_of_block,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -16,12 +29,14 @@ class Numbers(click.ParamType):
 
     name = "numbers"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[float]:
-        """Convert to a list of floats."""
-        if isinstance(value, list):
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> "np.ndarray":
+        """Convert to an array of floats."""
+        import numpy as np
+
+        if not isinstance(value, str):
             return value
         try:
-            return [float(x) for x in value.split(",")]
+            return np.array([float(x) for x in value.split(",")])
         except ValueError:
             self.fail(f"{value!r}: must be numbers separated by commas, such as 10,25,50", param, ctx)
 
@@ -39,7 +54,7 @@ class Numbers(click.ParamType):
 )
 @click.option("--push-height-mm", type=Numbers(), metavar="MM,…", help="Heights of the push, in SI form.")
 @click.option("--push-width-mm", type=Numbers(), metavar="MM,…", help="Heights of the pusher, in SI form.")
-@click.option("--push-control", type=click.Choice(["displacement", "force"]), default="displacement", help="What is held.")
+@push_control
 @click.option(
     "--friction", type=Numbers(), metavar="μ,…", help="Friction coefficients of blocks, whose thresholds follow the pressure."
 )
@@ -55,10 +70,8 @@ class Numbers(click.ParamType):
 @click.option(
     "--bounds", type=float, nargs=2, metavar="LOW HIGH", help="Range of stiffness with --measured, as for slippulse fit."
 )
-@click.option(
-    "--event",
-    type=click.Choice(["domino", "full"]),
-    help="Whether lengths, measured and planned, are of first fronts (domino, the default) or of whole events.",
+@choice(
+    "--event", EventKind, "Whether lengths, measured and planned, are of first fronts (domino, the default) or of whole events."
 )
 @click.option("--whole", is_flag=True, help="Whole contacts will be counted, to σ (0 allowed).")
 @click.option(
@@ -68,20 +81,17 @@ class Numbers(click.ParamType):
 @click.option("--figure", callback=figure_path, metavar="FILE", help="Draw gains and lengths; .png, .pdf or .svg.")
 @as_json
 def command(
-    stiffness: list[float] | None,
-    log_sd: list[float] | None,
+    stiffness: "np.ndarray | None",
+    log_sd: "np.ndarray | None",
     measured: str | None,
     bounds: tuple[float, float] | None,
     event: Any,
-    push_control: Any,
-    contact_law: Any,
-    top: Any,
     whole: bool,
     experiments: int,
     seed: int,
     figure: Path | None,
     as_json: bool,
-    **conditions: list[float] | None,
+    **conditions: Any,
 ) -> None:
     """Rank candidate experiments by expected information about the interface stiffness.
 
@@ -101,8 +111,7 @@ def command(
     try:
         known = _knowledge(stiffness, log_sd, measured, "correlation_length" in candidates, bounds=bounds, event=event)
         kind = "whole" if whole else "length"
-        said = {"push_control": push_control, "contact_law": contact_law, "top": top}
-        found = design(known, **candidates, **said, kind=kind, experiments=experiments, seed=seed)
+        found = design(known, **candidates, kind=kind, experiments=experiments, seed=seed)
     except (ValueError, OSError) as error:
         refuse(error)
     if as_json:
@@ -115,57 +124,36 @@ def command(
         save_figure(plot.design_figure(found), figure)
 
 
-def _conditions(given: dict[str, list[float] | None]) -> dict[str, Any]:
+def _conditions(given: dict[str, Any]) -> dict[str, Any]:
     """Conditions of the candidates, as `design` takes them."""
-    from slippulse_jax.units import split_unit
-
-    forms = {"plain": ("height", "sigma"), "si": ("height_mm", "sigma_mm", "correlation_length_um", "young_gpa")}
-    pushes = {"plain": ("push_height", "push_width"), "si": ("push_height_mm", "push_width_mm")}
-    chosen = [name for name, columns in forms.items() if any(given[c] is not None for c in (*columns, *pushes[name]))]
-    if len(chosen) > 1:
-        raise click.UsageError("--height and --height-mm belong to two forms of the candidates: give one")
-    form = chosen[0] if chosen else "plain"
-    columns = forms[form]
-    missing = [option(c) for c in columns if given[c] is None]
-    if missing:
-        raise click.UsageError(f"missing {', '.join(missing)} (or give the other form of the candidates: see --help)")
-    of_both = ("poisson", "prestress", "friction")
-    result: dict[str, Any] = {name: given[name] for name in of_both if given[name] is not None}
-    for column in columns:
-        name, size = split_unit(column)
-        result[name] = [x * size for x in given[column] or []]
-    for column in (c for c in pushes[form] if given[c] is not None):
-        name, size = split_unit(column)
-        result[name] = given[column] if size == 1 else _over_height(column, given)
-    return result
-
-
-def _over_height(column: str, given: dict[str, list[float] | None]) -> "np.ndarray":
-    """Lengths in mm over the height of the block they belong to."""
     import numpy as np
 
-    lengths, heights = np.array(given[column]), np.array(given["height_mm"])
-    if lengths.size != heights.size and 1 not in (lengths.size, heights.size):
-        raise click.UsageError(f"{option(column)}: {lengths.size} values for {heights.size} of --height-mm")
-    with np.errstate(divide="ignore", invalid="ignore"):  # a height of 0 is refused by name
-        return lengths / heights
+    plain, si = ("height", "sigma"), ("height_mm", "sigma_mm", "correlation_length_um", "young_gpa")
+    pushes = ("push_height", "push_width"), ("push_height_mm", "push_width_mm")
+    found = one_form(given, "candidates", plain, si, pushes)
+    for name in ("push_height", "push_width") if "young" in found else ():  # over the height of the block
+        x, heights = found.get(name, np.zeros(1)), found["height"]
+        if x.size != heights.size and 1 not in (x.size, heights.size):
+            raise click.UsageError(f"{option(name)}-mm: {x.size} values for {heights.size} of --height-mm")
+        with np.errstate(divide="ignore", invalid="ignore"):  # a height of 0 is refused by name
+            found |= {name: x / heights} if name in found else {}
+    of_both = {name: x for name, x in given.items() if name not in (*plain, *si, *pushes[0], *pushes[1])}
+    return found | {name: x for name, x in of_both.items() if x is not None}
 
 
 def _knowledge(
-    stiffness: list[float] | None, log_sd: list[float] | None, measured: str | None, in_si: bool, *, bounds: Any, event: Any
+    stiffness: "np.ndarray | None", log_sd: "np.ndarray | None", measured: str | None, in_si: bool, *, bounds: Any, event: Any
 ) -> Any:
     import dataclasses
 
-    import numpy as np
-
     from slippulse_jax.inference.knowledge import Knowledge
-    from slippulse_jax.inference.tables import read_measurements
+    from slippulse_jax.inference.measurements import read_measurements
 
     prior = None
     if stiffness is not None and log_sd is not None:
         if len(log_sd) not in (1, len(stiffness)):
             raise ValueError(f"--log-sd: {len(log_sd)} values for {len(stiffness)} roots")
-        prior = Knowledge.lognormal(np.array(stiffness), np.array(log_sd), in_si=in_si)
+        prior = Knowledge.lognormal(stiffness, log_sd, in_si=in_si)
         prior = dataclasses.replace(prior, event=event or prior.event)
     if measured is None:
         return prior

@@ -1,11 +1,11 @@
 """``slippulse fit``."""
 
 import warnings
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from slippulse_jax.cli.shared import NOT_CONVERGED, as_json, figure_path, print_json, refuse, save_figure
+from slippulse_jax.cli.shared import NOT_CONVERGED, as_json, choice, figure_path, print_json, refuse, save_figure
 from slippulse_jax.inference.choices import Body, IntervalsBy, Loss, MeasuredEvent, Method, Sigma
 
 if TYPE_CHECKING:
@@ -33,15 +33,27 @@ def _print_template(ctx: click.Context, parameter: click.Parameter, body: Body |
         ctx.exit()
 
 
-@click.command()
+class WithColumns(click.Command):
+    """A command whose help lists the columns of its tables."""
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List them, with their usual units."""
+        from slippulse_jax.inference.columns import COLUMNS, OF_GAUGES
+
+        for name, columns in (("LENGTHS.CSV", COLUMNS), ("GAUGES.CSV", OF_GAUGES)):
+            with formatter.section(f"Columns of {name}"):
+                formatter.write_dl([(one.name(in_si=True), one.sentence.replace("`", "")) for one in columns.values()])
+
+
+@click.command(cls=WithColumns)
 @click.argument("csv", metavar="LENGTHS.CSV")
-@click.option(
+@choice(
     "--template",
-    type=click.Choice(get_args(Body)),
+    Body,
+    "Print a table to fill in, of sliders or of blocks, instead.",
     callback=_print_template,
     is_eager=True,
     expose_value=False,
-    help="Print a table to fill in, of sliders or of blocks, instead.",
 )
 @click.option("--gauges", metavar="GAUGES.CSV", help="Slip and stress along the interface after arrest, fitted too.")
 @click.option("--free", multiple=True, metavar="NAME", help="Parameter to fit; repeat for several. Default: stiffness.")
@@ -58,25 +70,15 @@ def _print_template(ctx: click.Context, parameter: click.Parameter, body: Body |
 @click.option("--range", "ranges", multiple=True, callback=_pairs, metavar="NAME=LOW,HIGH", help="Range to search, in SI.")
 @click.option("--fix", multiple=True, callback=_pairs, metavar="NAME=VALUE", help="Hold a parameter at a value, in SI.")
 @click.option("--each-specimen", multiple=True, metavar="NAME", help="Fit one value per specimen.")
-@click.option("--loss", type=click.Choice(get_args(Loss)), help="Loss function.")
-@click.option("--sigma", type=click.Choice(get_args(Sigma)), help="Take σ as given, or only the ratios of σ.")
-@click.option("--method", type=click.Choice(get_args(Method)), help="Levenberg-Marquardt, or optax's L-BFGS or Adam.")
-@click.option(
-    "--intervals",
-    type=click.Choice(get_args(IntervalsBy)),
-    help="From chi-squared, or simulations; simulated by default where chi-squared would mislead.",
-)
-@click.option(
-    "--event",
-    type=click.Choice(get_args(MeasuredEvent)),
-    help="Take a length as that of the first front; of the whole event, in which contacts may break again; or of a crack-like "
-    "front, with a friction behind it.",
-)
-@click.option(
+@choice("--loss", Loss, "Loss function.")
+@choice("--sigma", Sigma, "Take σ as given, or only the ratios of σ.")
+@choice("--method", Method, "Levenberg-Marquardt, or optax's L-BFGS or Adam.")
+@choice("--intervals", IntervalsBy, "Profile (chi-squared) or simulated intervals; auto simulates where chi-squared misleads.")
+@choice("--event", MeasuredEvent, "What the lengths are: domino = first front, full = whole event, crack = crack-like front.")
+@choice(
     "--body",
-    type=click.Choice(get_args(Body)),
-    help="Take the body as the paper's slider; or as a block under two-dimensional elasticity, the default where the table "
-    "says at what height it is pushed.",
+    Body,
+    "The paper's slider; or a block under two-dimensional elasticity, the default where the table says where it is pushed.",
 )
 @click.option("--seed", type=int, help="Seed of starts, bootstrap and sampling.")
 @click.option("--request", metavar="FILE", help="TOML file of parameters and settings, or JSON of a fit to repeat.")
@@ -99,13 +101,9 @@ def _print_template(ctx: click.Context, parameter: click.Parameter, body: Body |
 def command(ctx: click.Context, csv: str, **options: Any) -> None:
     """Fit the interface to measured first precursors.
 
-    LENGTHS.CSV has one precursor per line and units in its column names: height_mm, correlation_length_um, poisson, length_mm,
-    length_sigma_mm (and young_GPa for a result in Pa/m), or in units of λc height, poisson, length, length_sigma. Optional
-    among others: kind (length, whole, at_least), errors of the inputs (poisson_sigma …), where the side is pushed
-    (push_height_mm, push_width_mm), prestress, force and displacement at nucleation, specimen, provenance, label.
+    LENGTHS.CSV has one precursor per line, and units in its column names, listed below; without them lengths are in λc.
 
-    GAUGES.CSV has one reading per line: label (of the precursor), position_mm, slip_um with slip_sigma_um, or stress_MPa with
-    stress_sigma_MPa. Then fit strength too: --free stiffness --free strength.
+    GAUGES.CSV has one reading per line, by the label of the precursor. Then fit strength too: --free stiffness --free strength.
 
     A request file holds what the options say, as [parameters.poisson] prior = [0.3, 0.02], and loss, sigma, method, seed,
     max_steps. Options are added to it.
@@ -113,9 +111,8 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
     Exit status: 0 also where the data do not determine a parameter, which the report says; 3 if the search did not converge.
     """
     from slippulse_jax.inference.fit import fit
-    from slippulse_jax.inference.measurements import MeasurementWarning
+    from slippulse_jax.inference.measurements import MeasurementWarning, read_measurements
     from slippulse_jax.inference.record import from_request, read_request
-    from slippulse_jax.inference.tables import read_measurements
 
     _check(options)
     try:

@@ -1,6 +1,8 @@
 """``slippulse length``."""
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -9,8 +11,9 @@ from slippulse_jax.cli.shared import (
     BadInput,
     as_json,
     contact_law,
-    option,
+    one_form,
     print_json,
+    push_control,
     refuse,
     right_end,
     slider_options,
@@ -20,10 +23,8 @@ from slippulse_jax.cli.shared import (
 if TYPE_CHECKING:
     from slippulse_jax.slider import Slider
 
-DIMENSIONLESS = ("height", "stiffness")
-SI = ("height_mm", "correlation_length_um", "areal_stiffness", "young_gpa")
 UNPRESSED = {"normal_stiffness": None, "friction": None, "contact_law": "amontons", "top": "free"}
-"""What the options of a block are where they are not given."""
+"""Defaults of the options of a block."""
 
 
 @click.command()
@@ -45,7 +46,7 @@ UNPRESSED = {"normal_stiffness": None, "friction": None, "contact_law": "amonton
     help="Take a block under two-dimensional elasticity, pushed above this height, or about it with --push-width.",
 )
 @click.option("--push-width", type=float, metavar="w/H", help="Height of the pusher itself.")
-@click.option("--push-control", type=click.Choice(["displacement", "force"]), help="What is held while an event runs.")
+@push_control
 @click.option(
     "--friction", type=float, metavar="μ", help="Friction coefficient of a block, whose thresholds follow the pressure."
 )
@@ -65,64 +66,68 @@ def command(
     as_json: bool,
     **given: Any,
 ) -> None:
-    """Compute the first precursor of one slider, or of a block that is pushed at a height.
+    """Compute the first precursor of one slider or pushed block.
 
     Give either --height and --stiffness, or all of --height-mm, --correlation-length-um, --areal-stiffness and --young-gpa.
     """
     import jax
 
     pressed = {name: given.pop(name) for name in UNPRESSED}
-    form = _form(given)
-    if push_height is not None:
-        ends = {"--sites": sites, "--block-length-mm": block_length_mm, "--machine": machine}
-        given_too = [name for name, value in ends.items() if value is not None] + ["--right"] * (right != "semi-infinite")
-        if given_too:
-            raise click.UsageError(f"{given_too[0]}: a block that is pushed at a height is half-infinite, and its edge is held")
-        with jax.enable_x64(True):
-            push = push_height, push_width, push_control or "displacement"
-            result, text = _block_length(form, poisson, push, pressed), _block_text
-    else:
+    si = "height_mm", "correlation_length_um", "areal_stiffness", "young_gpa"
+    form = one_form(given, "slider", ("height", "stiffness"), si)
+    if push_height is None:
         if push_width is not None or push_control is not None:
             raise click.UsageError("--push-width and --push-control describe a push: give --push-height too")
         if pressed != UNPRESSED:
             raise click.UsageError(
                 "--friction, --normal-stiffness, --contact-law and --top are a block's: give --push-height too"
             )
-        length = None if block_length_mm is None else _in_sites(block_length_mm, sites, form)
-        if length is not None and right == "semi-infinite":
+        if block_length_mm is not None and right == "semi-infinite":
             right = "free"
-        with jax.enable_x64(True):
-            result, text = _length(form, poisson, right, sites if length is None else length, machine), _text
-    if "correlation_length_um" in form:
-        result["length_mm"] = result["length"] * form["correlation_length_um"] * 1e-3
+        length = sites if block_length_mm is None else _in_sites(block_length_mm, sites, given["correlation_length_um"])
+    else:
+        ends = {"--sites": sites, "--block-length-mm": block_length_mm, "--machine": machine}
+        ends["--right"] = None if right == "semi-infinite" else right
+        if given_too := [name for name, value in ends.items() if value is not None]:
+            raise click.UsageError(f"{given_too[0]}: a block that is pushed at a height is half-infinite, and its edge is held")
+        length = None
+    with jax.enable_x64(True), _bad_input():
+        from slippulse_jax.slider import Slider
+
+        slider = (Slider if "height" in form and "stiffness" in form else Slider.from_material)(**form, poisson=poisson)
+        asked = {"height": float(slider.height), "stiffness": float(slider.stiffness), "poisson": poisson}
+        if push_height is None:
+            result, text = asked | _of_slider(slider, right, length, machine), _text
+        else:
+            push = {"push_height": push_height, "push_width": push_width, "push_control": push_control or "displacement"}
+            result, text = asked | _of_block(slider, push, pressed), _block_text
+    if "correlation_length" in form:
+        result["length_mm"] = result["length"] * form["correlation_length"] * 1e3
     if as_json:
         print_json(result)
     else:
         click.echo(text(result))
 
 
-def _form(given: dict[str, float | None]) -> dict[str, float]:
-    """Values of the form that was given, dimensionless or SI; all of them are needed."""
-    si, plain = ([name for name in names if given[name] is not None] for names in (SI, DIMENSIONLESS))
-    if si and plain:
-        raise click.UsageError(f"{option(si[0])} and {option(plain[0])} belong to two forms of the slider: give one")
-    form = {name: given[name] for name in (SI if si else DIMENSIONLESS)}
-    missing = [option(name) for name, value in form.items() if value is None]
-    if missing:
-        raise click.UsageError(f"missing {', '.join(missing)} (or give the other form of the slider: see --help)")
-    return {name: value for name, value in form.items() if value is not None}
-
-
-def _in_sites(block_length_mm: float, sites: int | None, form: dict[str, float]) -> float:
+def _in_sites(block_length_mm: float, sites: int | None, correlation_length_um: float | None) -> float:
     """Length of the block over λc."""
     if sites is not None:
         raise click.UsageError("--sites and --block-length-mm both say where the block ends: give one")
-    if "correlation_length_um" not in form:
+    if correlation_length_um is None:
         raise click.UsageError("--block-length-mm belongs to the SI form of the slider; give --sites")
-    return block_length_mm / (form["correlation_length_um"] * 1e-3)
+    return block_length_mm / (correlation_length_um * 1e-3)
 
 
-def _length(form: dict[str, float], poisson: float, right: Any, sites: float | None, machine: float | None) -> dict[str, Any]:
+@contextmanager
+def _bad_input() -> Iterator[None]:
+    """Exit with status 2 where a number is outside its domain."""
+    try:
+        yield
+    except ValueError as error:
+        refuse(error)
+
+
+def _of_slider(slider: "Slider", right: Any, sites: float | None, machine: float | None) -> dict[str, Any]:
     import jax
 
     from slippulse_jax.bodies.modes import ends_of, lattice_modes
@@ -130,23 +135,15 @@ def _length(form: dict[str, float], poisson: float, right: Any, sites: float | N
     from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS
     from slippulse_jax.status import NotConverged, Outcome
 
-    try:
-        ends = ends_of(right, sites, machine)
-    except ValueError as error:
-        refuse(error)
-    slider = _slider(form, poisson)
     ended, load = jax.jit(  # one program: op by op JAX would compile sixty
         lambda slider, ends: (arrest(slider, None, ends), lattice_modes(slider, ends).load)
-    )(slider, ends)
+    )(slider, ends_of(right, sites, machine))
     status = Outcome(int(ended.status))
     if status is Outcome.LIMIT:
         raise NotConverged(f"{status.message}; max_contacts = {DEFAULT_MAX_CONTACTS}")
     if status is Outcome.INVALID:
         raise BadInput(status.message)
     return {
-        "height": float(slider.height),
-        "stiffness": float(slider.stiffness),
-        "poisson": poisson,
         "right": right,
         "sites": sites,
         "machine": machine,
@@ -159,72 +156,42 @@ def _length(form: dict[str, float], poisson: float, right: Any, sites: float | N
     }
 
 
-def _slider(form: dict[str, float], poisson: float) -> "Slider":
-    from slippulse_jax.slider import Slider
-    from slippulse_jax.units import split_unit
-
-    try:
-        if "height" in form:
-            return Slider(form["height"], form["stiffness"], poisson)
-        in_si = {name: form[option] * size for option in SI for name, size in [split_unit(option)]}
-        return Slider.from_material(**in_si, poisson=poisson)
-    except ValueError as error:
-        refuse(error)
-
-
-def _block_length(form: dict[str, float], poisson: float, push: tuple[Any, ...], pressed: dict[str, Any]) -> dict[str, Any]:
+def _of_block(slider: "Slider", push: dict[str, Any], pressed: dict[str, Any]) -> dict[str, Any]:
     from slippulse_jax.block import Block, Push
     from slippulse_jax.exact.front import exact_length
     from slippulse_jax.precursor import precursor_length
 
-    slider, (height, width, control) = _slider(form, poisson), push
-    try:
-        block = Block(slider.height, slider.stiffness, poisson, Push(height, width, control), **pressed)
-        length = float(precursor_length(block))
-    except ValueError as error:
-        refuse(error)
-    return {
-        "height": float(slider.height),
-        "stiffness": float(slider.stiffness),
-        "poisson": poisson,
-        "push_height": height,
-        "push_width": width,
-        "push_control": control,
-        **pressed,
-        "length": length,
-        "length_of_slider": float(exact_length(slider)),
-    }
+    block = Block(slider.height, slider.stiffness, slider.poisson, Push(*push.values()), **pressed)
+    lengths = {"length": float(precursor_length(block)), "length_of_slider": float(exact_length(slider))}
+    return {**push, **pressed, **lengths}
 
 
 def _block_text(result: dict[str, Any]) -> str:
     where = f"above {result['push_height']:g} H"
     if result["push_width"] is not None:
         where = f"over {result['push_width']:g} H about {result['push_height']:g} H"
-    length = (
-        f"{result['length']:.6g} λc{_in_mm(result)}" if result["length"] else "none: the neighbour of the first contact holds"
-    )
+    length = f"{result['length']:.6g} λc{_in_mm(result)}"
+    if not result["length"]:
+        length = "none: the neighbour of the first contact holds"
+    if math.isnan(result["length"]):  # any other reason is an error
+        length = "none: the block lifts off"
     normal, friction = result["normal_stiffness"], result["friction"]
     pressed = "" if normal is None else f"; k_n/k = {normal:g}"
     pressed += "" if friction is None else f"; thresholds of μ = {friction:g} times the pressure"
-    if math.isnan(result["length"]):  # any other reason is an error
-        length = "none: the block lifts off"
     of_slider = f"{result['length_of_slider']:.6g} λc" if math.isfinite(result["length_of_slider"]) else "none"
-    return "\n".join(
-        [
-            f"block: H/λc = {result['height']:.6g}, k/K = {result['stiffness']:.6g}, ν = {result['poisson']:g}; "
-            f"pushed {where}, {result['push_control']} held{pressed}",
-            f"ℓ   = {length}",
-            f"      {of_slider} with the slider of the same contacts",
-        ]
-    )
+    lines = [
+        f"block: {_numbers(result)}; pushed {where}, {result['push_control']} held{pressed}",
+        f"ℓ   = {length}",
+        f"      {of_slider} with the slider of the same contacts",
+    ]
+    return "\n".join(lines)
 
 
 def _text(result: dict[str, Any]) -> str:
     count = f"Λ   = {result['contacts_broken']} λc"
     driven = "machine" if result["machine"] else "left edge"
     lines = [
-        f"slider: H/λc = {result['height']:.6g}, k/K = {result['stiffness']:.6g}, ν = {result['poisson']:g}; "
-        f"right end {result['right']}"
+        f"slider: {_numbers(result)}; right end {result['right']}"
         + (f", {result['sites']:g} sites" if result["sites"] else "")
         + (f"; machine M/K = {result['machine']:g}" if result["machine"] else ""),
         f"ℓ   = {result['length']:.6f} λc{_in_mm(result)}" if math.isfinite(result["length"]) else "ℓ   = none",
@@ -233,6 +200,10 @@ def _text(result: dict[str, Any]) -> str:
         f"status: {result['message']}",
     ]
     return "\n".join(lines)
+
+
+def _numbers(result: dict[str, Any]) -> str:
+    return f"H/λc = {result['height']:.6g}, k/K = {result['stiffness']:.6g}, ν = {result['poisson']:g}"
 
 
 def _in_mm(result: dict[str, Any]) -> str:

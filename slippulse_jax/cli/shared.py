@@ -5,13 +5,14 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, get_args
 
 import click
 
+from slippulse_jax.choices import ContactLaw, Control, RightEnd, Top
 from slippulse_jax.files import FIGURE_FORMATS, plain, shortened
 
 if TYPE_CHECKING:
@@ -20,30 +21,27 @@ if TYPE_CHECKING:
 FAILURE, BAD_INPUT, NOT_CONVERGED, INCOMPLETE, INTERRUPTED = 1, 2, 3, 4, 130
 """Exit statuses."""
 
-
 as_json = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 
-right_end = click.option(
-    "--right",
-    type=click.Choice(["semi-infinite", "free", "clamped"]),
-    default="semi-infinite",
-    show_default=True,
-    help="Right end of the chain.",
-)
 
-contact_law = click.option(
+def choice(name: str, of: Any, text: str, **options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Option that takes one of the values of a ``Literal``."""
+    return click.option(name, type=click.Choice(get_args(of)), help=text, **options)
+
+
+right_end = choice("--right", RightEnd, "Right end of the chain.", default="semi-infinite", show_default=True)
+push_control = choice("--push-control", Control, "What is held while an event runs; the displacement by default.")
+contact_law = choice(
     "--contact-law",
-    type=click.Choice(["amontons", "multicontact"]),
+    ContactLaw,
+    "What follows the pressure with --friction: thresholds, or thresholds and stiffnesses.",
     default="amontons",
-    help="What follows the pressure with --friction: thresholds, or thresholds and stiffnesses.",
 )
-top_of_block = click.option(
-    "--top", type=click.Choice(["free", "held"]), default="free", help="Whether the top of a block may tilt."
-)
+top_of_block = choice("--top", Top, "Whether the top of a block may tilt.", default="free")
 
 
 def slider_options(*, required: bool) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Options of one slider in λc; `required` unless it may be given in SI instead."""
+    """Options of one slider in λc, `required` or not."""
 
     def add(command: Callable[..., Any]) -> Callable[..., Any]:
         poisson = click.option("--poisson", type=float, required=True, metavar="ν", help="Poisson's ratio.")
@@ -63,6 +61,27 @@ def option(name: str) -> str:
     return "--" + name.replace("_", "-")
 
 
+def one_form(
+    given: Mapping[str, Any], of: str, plain: Sequence[str], si: Sequence[str], optional: Sequence[Sequence[str]] = ((), ())
+) -> dict[str, Any]:
+    """Read the one form that was given, λc or SI, into SI.
+
+    All of `plain`, or of `si`, are needed.
+    """
+    from slippulse_jax.inference.columns import SI
+
+    forms = ((*plain, *optional[0]), (*si, *optional[1]))
+    in_plain, in_si = ([name for name in form if given[name] is not None] for form in forms)
+    if in_si and in_plain:
+        raise click.UsageError(f"{option(in_si[0])} and {option(in_plain[0])} belong to two forms of the {of}: give one")
+    missing = [option(name) for name in (si if in_si else plain) if given[name] is None]
+    if missing:
+        raise click.UsageError(f"missing {', '.join(missing)} (or give the other form of the {of}: see --help)")
+    sizes = {f"_{unit.lower()}": size for unit, size in SI.items()}
+    ends = {name: next((end for end in sizes if name.endswith(end)), "") for name in in_si or in_plain}
+    return {name.removesuffix(end): given[name] * sizes.get(end, 1.0) for name, end in ends.items()}
+
+
 class BadInput(click.ClickException):
     """Invalid input; exit status 2."""
 
@@ -74,7 +93,7 @@ last_words: list[str] = []
 
 
 def leave_when_interrupted() -> None:
-    """Let Ctrl-C print a last message and end the program at once, with status 130.
+    """Let Ctrl-C print a last message and exit with status 130.
 
     A KeyboardInterrupt would be swallowed in a callback of JAX's compiler, and unloading JAX during a compilation can crash.
     Files are written whole or not at all, so nothing is lost.
@@ -101,14 +120,14 @@ def prints_unicode() -> bool:
 
 
 def refuse(error: Exception) -> NoReturn:
-    """Exit with status 2 and the message of an error about the input, or of a file that cannot be read."""
+    """Exit with status 2 and the message of a bad input."""
     if isinstance(error, OSError) and error.filename is not None:
         raise BadInput(f"{error.filename}: {error.strerror}") from None
     raise BadInput(shortened(str(error))) from None
 
 
 def output_path(*formats: str) -> Callable[[click.Context, click.Parameter, str | None], Path | None]:
-    """Callback of an option that checks, before any computation, format and folder of a file to be written."""
+    """Callback of an option that checks a file to be written."""
 
     def check(ctx: click.Context, parameter: click.Parameter, value: str | None) -> Path | None:
         if value is None:
@@ -131,7 +150,7 @@ figure_path, table_path, page_path = output_path(*FIGURE_FORMATS), output_path("
 
 
 def save_figure(figure: "Figure", path: Path) -> None:
-    """Write a figure atomically, in the format of its suffix, and report it on stderr."""
+    """Write a figure in the format of its suffix, atomically."""
     from slippulse_jax.files import write_atomically
 
     content = io.BytesIO()

@@ -42,7 +42,7 @@ costs two products per number.
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -53,6 +53,7 @@ from jaxtyping import Array, Float, Int
 from slippulse_jax.block import Block
 from slippulse_jax.bodies.modes import ENDLESS, Ends, Modes, equilibrium_fields, inverse, lattice_modes
 from slippulse_jax.bulk.compiler import in_full
+from slippulse_jax.choices import EventKind
 from slippulse_jax.domains import HEIGHT, POISSON, STIFFNESS, check_choice
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.rules import HARD, BreakRule, HardBreak
@@ -61,9 +62,6 @@ from slippulse_jax.status import Outcome
 
 DEFAULT_MAX_CONTACTS = 10_000_000
 """Breaks after which a front is given up: beyond any slider of H/λc up to several million."""
-
-EventKind = Literal["domino", "full"]
-"""Event whose length is meant: the first front, in which each contact breaks once; or the whole event."""
 
 FRONT_OUTCOMES = tuple(outcome for outcome in Outcome if outcome <= Outcome.RUN_AWAY)
 """Possible outcomes of a front."""

@@ -1,4 +1,4 @@
-"""Choices of a fit, by name; the command line reads them without loading JAX."""
+"""Choices of a fit, which the command line reads without JAX."""
 
 from typing import Literal
 

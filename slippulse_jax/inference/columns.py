@@ -1,19 +1,21 @@
-"""Columns of tables of measurements and of gauges: one row for each, from which all else about it follows.
+"""Columns of tables of measurements and of gauges, one row each.
 
-Reading a table, the checks of its numbers, and the suggestion of a name that a header may have meant.
+From a row follow how the column is read and checked, the names suggested for a header, the help of the command line, the
+docstrings of `Measurements` and `Gauges`, and the tables of the documentation. Loads no JAX.
 """
 
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
+from textwrap import wrap
 from typing import Any, NamedTuple, get_args
 from unicodedata import normalize
 
 import numpy as np
 
-from slippulse_jax.block import ContactLaw, Control, Top
+from slippulse_jax.choices import ContactLaw, Control, Top
 from slippulse_jax.domains import (
     CORRELATION_LENGTH,
     FRICTION,
@@ -26,15 +28,18 @@ from slippulse_jax.domains import (
 )
 from slippulse_jax.files import shortened
 from slippulse_jax.inference.choices import Body
-from slippulse_jax.units import SI, UNITS_OF_LENGTH, UNITS_OF_MODULUS
 
-KINDS = ("length", "whole", "at_least")
-"""Kind of a measurement: a length with a standard error; a count of whole contacts; a length the front ran past (censored)."""
+SI = {"N_per_mm": 1e3, "N_per_m": 1.0, "mm": 1e-3, "um": 1e-6, "MPa": 1e6, "GPa": 1e9}
+"""Units in which names of columns and options end, in SI."""
+UNITS_OF_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
+UNITS_OF_MODULUS = {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9}
+"""Units in which columns of a table of measurements may end, in SI."""
 PROVENANCES = ("measured", "printed", "digitised", "synthetic")
 NUMBER = re.compile(r"[+-]?(?:(?:\d+(?:\.\d*)?|\.\d+)(?:e[+-]?\d+)?|inf(?:inity)?)", re.IGNORECASE | re.ASCII)
 """A number as text: `float` would take 14_03 for 1403."""
 READINGS = ("slip", "stress")
 """Quantities that gauges read."""
+INDENT = 4 * " "
 
 
 class MeasurementError(ValueError):
@@ -45,12 +50,13 @@ class MeasurementError(ValueError):
 
 
 class Column(NamedTuple):
-    """A column of a table, as a row of the table of columns."""
+    """A column of a table, as a row of `COLUMNS`."""
 
     quantity: str  # that of a standard error ends in _sigma
     unit: str = ""  # in which its name usually ends in SI form
     plain: str | None = ""  # unit in the form in λc; None where the quantity does not occur there
     domain: Domain = Domain(-np.inf, np.inf, "must be finite")
+    says: str = ""  # what it holds; that of a standard error follows from its quantity
     required: bool = False  # in the forms in which it occurs
     may_be_blank: bool = False
     needs: str = ""  # quantities without which it means nothing
@@ -61,6 +67,7 @@ class Column(NamedTuple):
 
     Heights are taken larger, ν and λc smaller, so that H/λc does not fall below one.
     """
+    likely: Domain | None = None  # in SI, outside which another unit is suspected
 
     @property
     def value(self) -> str:
@@ -68,7 +75,7 @@ class Column(NamedTuple):
         return self.quantity.removesuffix("_sigma")
 
     def names(self, in_si: bool) -> dict[str, float]:
-        """Names in a form, the usual one first, and the unit in SI that each ends in; none where it does not occur."""
+        """Names in a form, the usual one first, and their units."""
         if not in_si or not self.unit:
             return {self.quantity: 1.0} if in_si or self.plain is not None else {}
         others = next((units for units in (UNITS_OF_LENGTH, UNITS_OF_MODULUS) if self.unit in units), {})
@@ -77,6 +84,28 @@ class Column(NamedTuple):
     def name(self, in_si: bool) -> str:
         """Usual name in a form."""
         return next(iter(self.names(in_si)), self.quantity)
+
+    @property
+    def sentence(self) -> str:
+        """What it holds, takes and needs, for documentation and help."""
+        text = self.says or f"Standard error of `{self.value}`{'; 0: exactly known' * bool(self.domain.holds(0))}"
+        text += f". Needed{' in SI' * (self.plain is None)}" * self.required
+        if self.choices:
+            text += f". One of {', '.join(f'`{one}`' for one in self.choices if one)}; blank: {self.choices[0] or 'unknown'}"
+        text += f". Needs {' and '.join(f'`{one}`' for one in self.needs.split())}" * bool(self.needs)
+        return text + ". May be blank" * (self.may_be_blank and "lank" not in text) + "."
+
+    def likely_unit(self, value: float, name: str = "", likely: Domain | None = None) -> str:
+        """Unit in which a number would be likely, if any.
+
+        The nearest by factors of 1000. The value is in SI, by the unit in which the `name` of its column ends.
+        """
+        likely = likely or self.likely
+        units = {"per cent": 1e-2} if not self.unit else UNITS_OF_MODULUS if self.unit in UNITS_OF_MODULUS else UNITS_OF_LENGTH
+        own = units.get(name.rpartition("_")[2], 1.0)
+        others = {unit: size / own for unit, size in units.items() if unit.isascii() and size != own}
+        found = [unit for unit, size in others.items() if likely is not None and likely.holds(value * size)]
+        return min(found, key=lambda unit: (unit == "cm", abs(math.log(others[unit]))), default="")
 
 
 def _positive(requirement: str) -> Domain:
@@ -98,66 +127,101 @@ FORCE = _positive("a driving force must be positive")
 POSITION = Domain(-1e-300, np.inf, "a position must be finite and not negative")
 
 _ROWS = (
-    Column("height", "mm", "λc", HEIGHT, required=True, symbols="H h block_height slider_height sample_height",
-           usual=("H larger by 1 %", math.log(1.01))),
-    Column("poisson", "", "", POISSON, required=True, symbols="ν nu poisson_ratio poissons_ratio",
+    Column("height", "mm", "λc", HEIGHT, "Height H of the slider or block", required=True,
+           symbols="H h block_height slider_height sample_height",
+           usual=("H larger by 1 %", math.log(1.01)), likely=Domain(1e-3, np.inf, "below 1 mm")),
+    Column("poisson", "", "", POISSON, "Poisson's ratio ν", required=True, symbols="ν nu poisson_ratio poissons_ratio",
            usual=("ν smaller by 0.02", -0.02)),
-    Column("length", "mm", "λc", LENGTH, required=True, symbols="L l Λ precursor_length front_length arrest_length",
+    Column("length", "mm", "λc", LENGTH, "Measured length of the precursor", required=True,
+           symbols="L l Λ precursor_length front_length arrest_length",
            usual=("every length larger by 1 %", math.log(1.01), -math.log(1.01))),
-    Column("length_sigma", "mm", "λc", ERROR),
-    Column("correlation_length", "um", None, CORRELATION_LENGTH, required=True, symbols="λ λc λ_c lambda lambda_c lc l_c",
-           usual=("λc smaller by a factor 2", -math.log(2))),
-    Column("young", "GPa", None, YOUNG, needs="correlation_length", symbols="E young_modulus youngs_modulus elastic_modulus",
-           usual=("E larger by 5 %", math.log(1.05), -math.log(1.05))),
-    Column("prestress", "", "", PRESTRESS, symbols="φ phi"),
-    Column("threshold_slope", "", "", THRESHOLD_SLOPE),
-    Column("block_length", "mm", "λc", BLOCK_LENGTH, may_be_blank=True, symbols="L sample_length slider_length"),
-    Column("push_height", "mm", "λc", PUSH_HEIGHT, may_be_blank=True, symbols="h load_height loading_height pusher_height",
+    Column("length_sigma", "mm", "λc", ERROR, "Standard error of `length`; may be 0 for counts and fronts without arrest. "
+           "Without it the errors are taken as equal, and their size from the scatter"),
+    Column("correlation_length", "um", None, CORRELATION_LENGTH, "Correlation length λc of the interface", required=True,
+           symbols="λ λc λ_c lambda lambda_c lc l_c", usual=("λc smaller by a factor 2", -math.log(2)),
+           likely=Domain(1e-7, np.inf, "that of no rough interface")),
+    Column("young", "GPa", None, YOUNG, "Young's modulus E, by which k/K becomes an areal stiffness k/λc² in Pa/m",
+           needs="correlation_length", symbols="E young_modulus youngs_modulus elastic_modulus",
+           usual=("E larger by 5 %", math.log(1.05), -math.log(1.05)), likely=Domain(0, 1.2e12, "above diamond's")),
+    Column("prestress", "", "", PRESTRESS, "Known prestress φ = σ_0/σ_s, in (−1, 1)", symbols="φ phi"),
+    Column("threshold_slope", "", "", THRESHOLD_SLOPE, "Known relative rise of the threshold per contact"),
+    Column("block_length", "mm", "λc", BLOCK_LENGTH, "Length of the block from its pushed edge to its free end; blank for a "
+           "block without end. A front that ran through all of it has that length and the kind `at_least`",
+           may_be_blank=True, symbols="L sample_length slider_length"),
+    Column("push_height", "mm", "λc", PUSH_HEIGHT, "Height of the middle of the pusher of a block over the interface; without "
+           "`push_width` that of its lower end: it then covers everything above", may_be_blank=True,
+           symbols="h load_height loading_height pusher_height",
            usual=("height of the push larger by 5 %", math.log(1.05), -math.log(1.05))),
-    Column("push_width", "mm", "λc", PUSH_WIDTH, may_be_blank=True, needs="push_height", symbols="pusher_height"),
-    Column("friction", "", "", FRICTION, needs="push_height", symbols="μ mu μ_s mu_s friction_coefficient static_friction",
-           usual=("μ larger by 10 %", math.log(1.1), -math.log(1.1))),
-    Column("normal_stiffness", "", "", NORMAL_STIFFNESS, needs="push_height"),
-    Column("machine_stiffness", "N_per_m", "E", MACHINE, may_be_blank=True, needs="young"),
-    Column("block_width", "mm", None, WIDTH, may_be_blank=True),  # by which the stiffness of the machine is divided
+    Column("push_width", "mm", "λc", PUSH_WIDTH, "Height of the pusher itself", may_be_blank=True, needs="push_height",
+           symbols="pusher_height"),
+    Column("friction", "", "", FRICTION, "Friction coefficient μ: thresholds follow the pressure, which the push tilts",
+           needs="push_height", symbols="μ mu μ_s mu_s friction_coefficient static_friction",
+           usual=("μ larger by 10 %", math.log(1.1), -math.log(1.1)), likely=Domain(-1e-300, 2, "that of no dry contact")),
+    Column("normal_stiffness", "", "", NORMAL_STIFFNESS, "Normal over shear stiffness, k_n/k, of the contacts of a block: 1.2 "
+           "where `friction` is given, else without limit", needs="push_height"),
+    Column("machine_stiffness", "N_per_m", "E", MACHINE, "Stiffness of the machine, from its own frame to the edge; as an "
+           "array, over the width of the block. Blank for an edge that is held while the front runs",
+           may_be_blank=True, needs="young"),
+    Column("block_width", "mm", None, WIDTH, "Width of the block, by which the stiffness of the machine is divided",
+           may_be_blank=True),
     Column("height_sigma", "mm", "λc", ERROR),
     Column("poisson_sigma", "", "", ERROR),
     Column("correlation_length_sigma", "um", None, ERROR),
     Column("young_sigma", "GPa", None, ERROR),
     Column("push_height_sigma", "mm", "λc", ERROR, may_be_blank=True),
     Column("friction_sigma", "", "", ERROR),
-    Column("displacement", "um", None, DISPLACEMENT, may_be_blank=True, needs="displacement_sigma young"),
+    Column("displacement", "um", None, DISPLACEMENT, "Displacement of the pushed edge at nucleation", may_be_blank=True,
+           needs="displacement_sigma young"),
     Column("displacement_sigma", "um", None, ERROR_OF_READING, may_be_blank=True),
-    Column("force", "N_per_mm", None, FORCE, may_be_blank=True, needs="force_sigma young"),
+    Column("force", "N_per_mm", None, FORCE, "Driving force at nucleation, per width of the block", may_be_blank=True,
+           needs="force_sigma young"),
     Column("force_sigma", "N_per_mm", None, ERROR_OF_READING, may_be_blank=True),
-    Column("kind", choices=KINDS),
-    Column("push_control", choices=get_args(Control), needs="push_height"),
-    Column("contact_law", choices=get_args(ContactLaw), needs="friction"),
-    Column("top", choices=get_args(Top), needs="push_height"),
-    Column("provenance", choices=("", *PROVENANCES)),
-    Column("specimen", choices=(), symbols="block blocks specimens sample"),
-    Column("label", choices=()),
+    Column("kind", says="How the length was measured; `whole` counts contacts, so that the length lies within one below; past "
+           "a length `at_least` the front ran without arrest", choices=("length", "whole", "at_least")),
+    Column("push_control", says="What is held while an event runs", choices=get_args(Control), needs="push_height"),
+    Column("contact_law", says="What follows the pressure: thresholds, or thresholds and stiffnesses",
+           choices=get_args(ContactLaw), needs="friction"),
+    Column("top", says="Whether the top of a block may tilt", choices=get_args(Top), needs="push_height"),
+    Column("provenance", says="Where the length comes from", choices=("", *PROVENANCES)),
+    Column("specimen", says='Any name, to which `each="specimen"` of a parameter refers', choices=(),
+           symbols="block blocks specimens sample"),
+    Column("label", says="Name of the precursor, by which readings of gauges refer to it", choices=()),
 )  # fmt: skip
 _ROWS_OF_GAUGES = (
-    Column("label", choices=(), required=True),
-    Column("position", "mm", None, POSITION, required=True),
-    Column("slip", "um", None, may_be_blank=True, needs="slip_sigma"),
-    Column("slip_sigma", "um", None, ERROR_OF_READING, may_be_blank=True),
-    Column("stress", "MPa", None, may_be_blank=True, needs="stress_sigma"),
-    Column("stress_sigma", "MPa", None, ERROR_OF_READING, may_be_blank=True),
-)
+    Column("label", says="Precursor after which it was read, by its label in the table of lengths", choices=(), required=True),
+    Column("position", "mm", "", POSITION, "Distance from the pushed edge", required=True),
+    Column("slip", "um", "", says="How far the slider's side of the interface moved while the front ran", may_be_blank=True,
+           needs="slip_sigma"),
+    Column("slip_sigma", "um", "", ERROR_OF_READING, may_be_blank=True),
+    Column("stress", "MPa", "", says="Shear stress on the contacts after arrest, prestress included", may_be_blank=True,
+           needs="stress_sigma"),
+    Column("stress_sigma", "MPa", "", ERROR_OF_READING, may_be_blank=True),
+)  # fmt: skip
 
 COLUMNS = {column.quantity: column for column in _ROWS}
-_OF_GAUGES = {column.quantity: column for column in _ROWS_OF_GAUGES}
-_EVERY = {**_OF_GAUGES, **COLUMNS}
+OF_GAUGES = {column.quantity: column for column in _ROWS_OF_GAUGES}
+_EVERY = {**OF_GAUGES, **COLUMNS}
 TEXTS = tuple(name for name, column in COLUMNS.items() if column.choices is not None)
 """Columns of text."""
 NUMERIC = tuple(name for name in COLUMNS if name not in (*TEXTS, "block_width"))
 """Columns of numbers that `Measurements` holds."""
 IN_LC = tuple(name for name, column in COLUMNS.items() if column.plain == "λc")
 """Columns held in λc."""
-GAUGE_COLUMNS = ("row", *(name for name in _OF_GAUGES if name != "label"))
+GAUGE_COLUMNS = ("row", *(name for name in OF_GAUGES if name != "label"))
 """Columns that `Gauges` holds."""
+
+
+def documented(names: Iterable[str]) -> str:
+    """Describe the columns among fields as parameters in a docstring."""
+    in_si = {"mm": "m", "um": "m", "GPa": "Pa", "MPa": "Pa", "N_per_mm": "N/m", "N_per_m": "Pa; without `young` in E"}
+    lines = []
+    for column in (_EVERY[name] for name in names if name in _EVERY):
+        kind = "sequence of str" if column.choices is not None else "array_like"
+        unit = "λc" if column.plain == "λc" else in_si.get(column.unit)
+        lines += [f"{column.quantity} : {kind}" + ", optional" * (not column.required or column.plain is None)]
+        lines += wrap(column.sentence + f" In {unit}." * bool(unit), 120, initial_indent=INDENT, subsequent_indent=INDENT)
+    return f"\n{INDENT}".join(lines)
+
 
 Named = dict[str, tuple[Column, float]]
 """By name in a table: the column, and the unit of its numbers in SI."""
@@ -192,7 +256,7 @@ def template(body: Body) -> str:
 
 
 def named(header: Sequence[str], where: str) -> Named:
-    """Find the columns of a table of measurements by the names in its header; others are left out."""
+    """Find the columns of measurements that a header names."""
     si, plain = ([own for own in header if own in NAMES[form] and own not in NAMES[not form]] for form in (True, False))
     if si and plain:
         raise MeasurementError(f"{where}: columns of both forms, {si[0]} and {plain[0]}: choose one")
@@ -219,7 +283,7 @@ def named(header: Sequence[str], where: str) -> Named:
 
 
 def named_of_gauges(header: Sequence[str], where: str) -> Named:
-    """Find the columns of a table of gauges by the names in its header; refuse others, and a missing one."""
+    """Find the columns of gauges that a header names; refuse others."""
     known = {own: _NAMES_OF_GAUGES[own] for own in header if own in _NAMES_OF_GAUGES}
     there = {column.quantity for column, _ in known.values()}
     if len(header) != len(there) or any(one.required and one.quantity not in there for one in _ROWS_OF_GAUGES):
@@ -231,7 +295,7 @@ def named_of_gauges(header: Sequence[str], where: str) -> Named:
 
 
 def with_units(header: Sequence[str], row: Sequence[str], where: str) -> list[str] | None:
-    """Join the units in the row below the header to its names; None if it holds no units, or a number."""
+    """Join units in the row below a header to its names."""
     units = [cell.translate(_MICRO).strip("[]() ").replace("/", "_per_") for cell in row]
     if not any(unit in _SIZES for unit in units) or any(re.match(r"[+-]?\.?\d", unit) for unit in units if unit != "1"):
         return None
@@ -270,7 +334,7 @@ LONGEST, MOST = 60, 50
 
 
 def _refuse_misnamed(unknown: Sequence[str], there: Container[str], si: bool, plain: bool, where: str) -> None:
-    """Refuse columns that seem to mean a quantity that the table lacks, and suggest the name.
+    """Refuse misnamed columns of quantities that the table lacks, with the name.
 
     A known name in other case, or a symbol or word of authors, is always refused. A name that is only like a known one is
     refused if it has a unit, or if the known one is required.
@@ -292,7 +356,7 @@ def _refuse_misnamed(unknown: Sequence[str], there: Container[str], si: bool, pl
 
 
 def _meant(own: str) -> tuple[list[Column], str, bool]:
-    """Columns that a name may mean, the unit that it ends in, and whether it is a known word and not only like one."""
+    """Columns that a name may mean, its unit, and whether certainly."""
     whole = _BETWEEN.sub("_", normalize("NFKC", own).replace("'", "")).strip("_")
     word = _ERROR.sub("", whole).strip("_")
     error = word != whole
@@ -311,7 +375,7 @@ def _meant(own: str) -> tuple[list[Column], str, bool]:
 
 
 def check_needs(given: Collection[str], columns: Mapping[str, str], source: str) -> None:
-    """Refuse quantities without one that they need; `columns` has their names in the file."""
+    """Refuse quantities without one they need, by names in the file."""
     for name in given:
         column = _EVERY[name]
         for needed in (column.value, *column.needs.split()):
@@ -326,13 +390,13 @@ Fault = tuple[str, Any, str]
 """A quantity, in which rows it breaks a rule, and the rule."""
 
 
-def check(
+def check_rows(
     values: Mapping[str, Any],
     place: Callable[[int], str],
     columns: Mapping[str, str] | None = None,
     cells: Mapping[str, Sequence[str]] | None = None,
 ) -> None:
-    """Check columns, by quantity and in the units of `Measurements` or `Gauges`, against their domains and each other.
+    """Check columns, in the units of `Measurements`, row by row.
 
     The message names the first row that breaks a rule, by `place`; `columns` has the names in the file by quantity, and `cells`
     the text by these names.
@@ -345,12 +409,12 @@ def check(
     own, value = (columns or {}).get(name, name), values[name][i]
     text = repr(value) if isinstance(value, str) else f"{value:g}" + " λc" * (name in IN_LC)
     text = cells[own][i] if cells else text
-    unit = "" if isinstance(value, str) else _likely_unit(name, value, columns or {})
+    unit = "" if isinstance(value, str) else _other_units(name, i, values, columns or {})
     raise MeasurementError(f"{place(i)}, column {own}: {text}{': ' * bool(text)}{rule}{unit}")
 
 
 def _faults(values: Mapping[str, Any]) -> Iterator[Fault]:
-    """Rules and the rows that break them; λc comes first, as it may be why a height or length is out of its domain."""
+    """Rules and the rows that break them, that of λc first."""
     for name, x in sorted(values.items(), key=lambda item: item[0] != "correlation_length"):
         column = _EVERY[name]
         if column.choices is None:
@@ -369,7 +433,7 @@ def _faults(values: Mapping[str, Any]) -> Iterator[Fault]:
 
 
 def _faults_of_length(values: Mapping[str, Any]) -> Iterator[Fault]:
-    """Rules of the length and its error, which depend on how it was measured."""
+    """Rules of a length and its error, by how it was measured."""
     length, kind, sigma = values["length"], np.array(values["kind"]), values.get("length_sigma", 1.0)
     broken = (kind == "whole") & (abs(length - np.round(length)) > 1e-9 * length)
     yield "length", broken, "a count of whole contacts must be a whole number of λc"
@@ -389,13 +453,14 @@ def _faults_of_push(values: Mapping[str, Any]) -> Iterator[Fault]:
     yield "push_width", (at - width / 2 <= 0) | (at + width / 2 >= height), "reaches beyond the side of the block"
 
 
-def _likely_unit(name: str, value: float, columns: Mapping[str, str]) -> str:
-    """Guess the unit of a number outside its domain: ``: is it in Pa?``; empty where none is likely."""
-    own = columns.get(name, name)
-    if name == "young" and value > YOUNG.high and not own.endswith("_Pa"):
-        return ": is it in Pa?"
-    if name == "correlation_length" and 0 < value <= CORRELATION_LENGTH.low and not own.endswith("_m"):
-        return ": is it in m?"
-    if name == "height" and 0 < value <= 1 and "correlation_length" in columns:
-        return f": is {own} in m, or {columns['correlation_length']} in nm?"
-    return ""
+def _other_units(name: str, i: int, values: Mapping[str, Any], columns: Mapping[str, str]) -> str:
+    """Ask for the likely unit of a number outside its domain."""
+    asked = [(name, values[name][i], _EVERY[name].likely)]
+    if name == "height" and "correlation_length" in columns:  # one of two is in another unit
+        contact = values["correlation_length"][i]
+        height = values["height"][i] * contact
+        low, high = Domain(max(contact, 1e-3), np.inf, ""), Domain(1e-7, height, "")
+        asked = [("height", height, low), ("correlation_length", contact, high)]
+    named = [(columns.get(one, one), _EVERY[one].likely_unit(x, columns.get(one, one), likely)) for one, x, likely in asked]
+    guesses = [f"{own} in {unit}" for own, unit in named if unit]
+    return f": is {', or '.join(guesses)}?" * bool(guesses)

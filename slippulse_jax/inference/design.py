@@ -6,56 +6,47 @@ from typing import Any
 import numpy as np
 from jaxtyping import ArrayLike
 
-from slippulse_jax.block import Block, ContactLaw, Control, Push, Top, has_push
-from slippulse_jax.domains import (
-    FRICTION,
-    NORMAL_STIFFNESS,
-    POISSON,
-    PRESTRESS,
-    THRESHOLD_SLOPE,
-    Domain,
-    check_choice,
-    check_domain,
-)
+from slippulse_jax.block import ContactLaw, Control, Top
+from slippulse_jax.domains import HEIGHT, check_choice, check_domain
 from slippulse_jax.files import plain
-from slippulse_jax.front.front import EventKind
-from slippulse_jax.inference.fronts import Front, front_for, pushed
-from slippulse_jax.inference.inputs import Inputs
+from slippulse_jax.inference.fronts import front_for
 from slippulse_jax.inference.knowledge import Gain, Kind, Knowledge, expected_gain, greedy, moments
-from slippulse_jax.inference.measurements import numbers
+from slippulse_jax.inference.measurements import Measurements, numbers
+from slippulse_jax.inference.parameters import ParameterSet, parameter_set
 from slippulse_jax.shown import html
 
 BIT = np.log(2)
 MOST_EXPERIMENTS = 12
 
-DOMAINS = {
-    "correlation_length": Domain(0, np.inf, "must be positive, in m"),
-    "young": Domain(0, np.inf, "must be positive, in Pa"),
-    "poisson": POISSON,
-    "prestress": PRESTRESS,
-    "threshold_slope": THRESHOLD_SLOPE,
-    "friction": FRICTION,
-    "normal_stiffness": NORMAL_STIFFNESS,
-}
-OVER_UNIT = Domain(1, np.inf, "must exceed 1")
-"""Domain of a height over λc."""
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Design:
-    """Outcome of `design`: one entry per candidate, in the order given. Information is in nats.
+    """Outcome of `design`, one entry per candidate; information in nats.
 
     Candidates and sequence are NumPy record arrays: ``candidates.height`` is a column, ``candidates[0].height`` a number.
     """
 
     knowledge: Knowledge
     candidates: np.recarray  # (c,) what `design` was given; NaN where it was not
+    parameters: ParameterSet  # by which lengths follow from the stiffness
     information: np.ndarray  # (c,) expected
     information_error: np.ndarray  # (c,) of its quadrature
     log_stderr: np.ndarray  # (c,) expected standard error of ln k afterwards, over all roots
     told_apart: np.ndarray  # (c,) probability that one root will have a posterior of 95 % or more
     length: np.ndarray  # (m, c) of every sample, in λc
     sequence: np.recarray  # of each step the candidate, and information, error, log_stderr, told_apart of all so far
+
+    def lengths(self, log_stiffness: np.ndarray) -> np.ndarray:
+        """Lengths of all candidates at stiffnesses, in λc; shape (m, c).
+
+        ℓ of a slider's front, or the length of the whole event; of a block always that. inf where the front never stops.
+        """
+        return _lengths(self.parameters, log_stiffness)
+
+    def breaks_again(self, log_stiffness: np.ndarray) -> np.ndarray:
+        """Whether edge contacts break again before the fronts stop; shape (m, c)."""
+        q = self.parameters
+        return q.front.breaks_again(q.inputs_at(log_stiffness[:, None]).ravel()).reshape(len(log_stiffness), -1)
 
     @property
     def ranking(self) -> np.ndarray:
@@ -69,7 +60,7 @@ class Design:
 
     @property
     def expected_length(self) -> np.ndarray:
-        """Mean and standard deviation of the finite lengths of each candidate, in λc, NaN where none is; shape (c, 2)."""
+        """Mean and standard deviation of finite lengths, in λc; (c, 2)."""
         return np.stack(moments(self.length, self.knowledge.weight[:, None] * np.isfinite(self.length)), axis=1)
 
     @property
@@ -86,7 +77,7 @@ class Design:
 
     @property
     def scale(self) -> np.ndarray:
-        """Size of λc in the unit of the report's lengths, mm or λc, for each candidate; shape (c,)."""
+        """Size of λc in mm, or 1, for each candidate; (c,)."""
         return np.nan_to_num(self.candidates.correlation_length, nan=1e-3) * 1e3
 
     @property
@@ -132,7 +123,7 @@ class Design:
         lengths = self.length[:, self.best, None]
         expected, _ = moments(lengths, k.by_root * np.isfinite(lengths))
         middle = np.log([value for _, value, _ in k.roots])
-        again = breaks_again(self.candidates, middle, k.event)[:, self.best]
+        again = self.breaks_again(middle)[:, self.best]
         by_root = ", ".join(
             f"{length * scale[self.best]:.4g} {length_unit} if {k.symbol} = {value:.3g}{' (edge breaks again)' * bool(more)}"
             for length, (_, value, _), more in zip(np.nan_to_num(expected, nan=np.inf), k.roots, again, strict=True)
@@ -161,7 +152,7 @@ class Design:
         return f"Design({len(self.candidates)} candidates, best {self.best}: {self.information[self.best]:.3g} nats)"
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain Python values of everything but the samples, ready for JSON; information in nats."""
+        """Plain Python values of all but the samples, ready for JSON."""
         k = self.knowledge
         mean, sd = self.expected_length.T
         names = ("never_stops", "information", "information_error", "log_stderr", "told_apart")
@@ -290,7 +281,7 @@ def design(
         "push_height": push_height, "push_width": push_width, "push_control": push_control,
         "friction": friction, "normal_stiffness": normal_stiffness, "contact_law": contact_law, "top": top,
     }  # fmt: skip
-    candidates = _candidates(given)
+    candidates, m = _candidates(given)
     body = "slider" if push_height is None else "block"
     if knowledge.body not in (None, body):
         raise ValueError(
@@ -303,17 +294,24 @@ def design(
         raise ValueError("the knowledge is about k/K: it must be areal (in_si=True) where the material is given")
     if not 1 <= experiments <= MOST_EXPERIMENTS:
         raise ValueError(f"experiments = {experiments}: must be from 1 to {MOST_EXPERIMENTS}")
-    length = lengths_of(candidates, knowledge.log_stiffness, knowledge.event)
-    error = candidates.sigma / np.nan_to_num(candidates.correlation_length, nan=1.0)
-    gains = [expected_gain(knowledge, column, s, kind) for column, s in zip(length.T, error, strict=True)]
-    chosen = greedy(knowledge, length, error, kind, gains, experiments, seed)
+    q = parameter_set(m, ["stiffness"], front=front_for(body, "full" if body == "block" else knowledge.event))
+    length = _lengths(q, knowledge.log_stiffness)
+    gains = [expected_gain(knowledge, column, s, kind) for column, s in zip(length.T, m.sigma, strict=True)]
+    chosen = greedy(knowledge, length, m.sigma, kind, gains, experiments, seed)
     kinds = [("candidate", int), *((name, float) for name in Gain._fields)]
     sequence = np.rec.fromrecords([(i, *gain) for i, gain in chosen], dtype=kinds)
-    return Design(knowledge, candidates, *np.transpose(gains), length=length, sequence=sequence)
+    return Design(knowledge, candidates, q, *np.transpose(gains), length=length, sequence=sequence)
 
 
-def _candidates(given: dict[str, Any]) -> np.recarray:
-    """Check the conditions, and gather them in a table; NaN where one is not given."""
+def _lengths(q: ParameterSet, log_stiffness: np.ndarray) -> np.ndarray:
+    return q.front.lengths(q.inputs_at(log_stiffness[:, None]).ravel()).reshape(len(log_stiffness), -1)
+
+
+def _candidates(given: dict[str, Any]) -> tuple[np.recarray, Measurements]:
+    """Gather the conditions, and check them as measurements of one contact.
+
+    In the table a condition that is not given is NaN.
+    """
     check_choice("kind", given["kind"], Kind)
     if (given["correlation_length"] is None) != (given["young"] is None):
         raise ValueError("correlation_length and young: give both, or neither")
@@ -326,66 +324,24 @@ def _candidates(given: dict[str, Any]) -> np.recarray:
     shape = columns["height"].shape
     if len(shape) != 1 or shape == (0,):
         raise ValueError("the conditions of the candidates must be one-dimensional, with at least one candidate")
-    _check(columns, given["kind"], given["push_control"])
-    rubs, law, top = given["friction"] is not None, given["contact_law"], given["top"]
-    Block(2, 1, 0.3, friction=0.0 if rubs else None, contact_law=law, top=top)  # which checks them
-    if given["push_height"] is None and (rubs or given["normal_stiffness"] is not None or top != "free"):
-        raise ValueError("friction, normal_stiffness and top are those of a block: give push_height too")
+    contact, counted = columns.get("correlation_length", 1.0), given["kind"] == "whole"
+    check_domain("sigma", columns["sigma"], lambda x: x >= 0 if counted else x > 0, "must be positive; of counts 0 or more")
+    height = columns["height"] / contact
+    HEIGHT.check("height over correlation length", height)
+    pushes = {name: columns[name] for name in ("push_height", "push_width") if name in columns}
+    for name, x in pushes.items():
+        over = f"must lie in (0, 1), as it is over the height of the block, {'w' if name == 'push_width' else 'h'}/H"
+        check_domain(name, x, lambda x: (x > 0) & (x < 1), over)
+    if "push_height" in pushes:
+        HEIGHT.check("height of the push over correlation length", pushes["push_height"] * height)
+        if columns["threshold_slope"].any():
+            raise ValueError("threshold_slope: the thresholds under a block are level here")
+    usual = {"push_control": "displacement", "contact_law": "amontons", "top": "free"}
+    more: dict[str, Any] = {name: x for name, x in columns.items() if name not in ("height", "sigma")}
+    more |= {name: (given[name],) * len(height) for name in usual if given[name] != usual[name]}
+    more |= {name: x * height for name, x in pushes.items()}
+    more |= {"kind": (given["kind"],) * len(height), "rows": tuple(map(str, range(len(height)))), "source": "candidates"}
+    m = Measurements(height=height, length=np.ones(len(height)), length_sigma=columns["sigma"] / contact, **more)
     columns |= {name: np.full(shape, np.nan if x is None else x) for name, x in given.items() if name not in columns}
-    return np.rec.fromarrays([columns[name] for name in given], dtype=[(name, columns[name].dtype) for name in given])
-
-
-def _check(columns: dict[str, np.ndarray], kind: Kind, push_control: Control) -> None:
-    """Check every number, and that every pusher lies on the side of its block and covers more than a contact's length."""
-    for name in (name for name in DOMAINS if name in columns):
-        DOMAINS[name].check(name, columns[name])
-    if kind == "length":
-        check_domain("sigma", columns["sigma"], lambda x: x > 0, "must be positive: the standard error of a length")
-    check_domain("sigma", columns["sigma"], lambda x: x >= 0, "cannot be negative: a standard error")
-    height = columns["height"] / columns.get("correlation_length", 1.0)
-    OVER_UNIT.check("height over correlation length", height)
-    if not has_push(columns, push_control):
-        return
-    if columns["threshold_slope"].any():
-        raise ValueError("threshold_slope: the thresholds under a block are level here")
-    for name, symbol in (("push_height", "h/H"), ("push_width", "w/H")):
-        over = f"must lie in (0, 1), as it is over the height of the block, {symbol}"
-        check_domain(name, columns.get(name, 0.5), lambda x: (x > 0) & (x < 1), over)
-    OVER_UNIT.check("height of the push over correlation length", columns["push_height"] * height)
-    for at, width in zip(columns["push_height"], columns.get("push_width", ()), strict=False):
-        Push(at, width)
-
-
-def lengths_of(candidates: np.recarray, theta: np.ndarray, event: EventKind) -> np.ndarray:
-    """Length of every candidate at every ln(stiffness), in λc; shape (m, c), inf where the front never stops.
-
-    ℓ of a slider's front, or the length of the whole event; of a block always that.
-    """
-    front, inputs = _events(candidates, theta, event)
-    return front.lengths(inputs).reshape(len(theta), -1)
-
-
-def breaks_again(candidates: np.recarray, theta: np.ndarray, event: EventKind) -> np.ndarray:
-    """Whether the edge contact of every candidate breaks again before its front stops, so that the event goes on; (m, c)."""
-    front, inputs = _events(candidates, theta, event)
-    return front.breaks_again(inputs).reshape(len(theta), -1)
-
-
-def _events(candidates: np.recarray, theta: np.ndarray, event: EventKind) -> tuple[Front, Inputs]:
-    """Model of the length, and its inputs for every candidate at every ln(stiffness), in one row."""
-    c = candidates
-    scale, young = (np.nan_to_num(x, nan=1.0) for x in (c.correlation_length, c.young))
-    ratio = np.exp(theta)[:, None] * (scale / young)
-    inputs = Inputs.of(c.height / scale, ratio, c.poisson, c.prestress, c.threshold_slope)
-    front = front_for("slider", event)
-    if np.isfinite(c.push_height).all():
-        friction, normal = (None if np.isnan(x).all() else x for x in (c.friction, c.normal_stiffness))
-        push = pushed(
-            np.ones(len(c)), c.push_height, c.push_width, c.push_control,
-            friction=friction, normal_stiffness=normal, contact_law=c.contact_law, top=c.top,
-        )  # fmt: skip
-        front, inputs = (
-            front_for("block", "full"),
-            inputs.given(**{n: np.broadcast_to(x, ratio.shape) for n, x in push.items()}),
-        )
-    return front, inputs.ravel()
+    table = np.rec.fromarrays([columns[name] for name in given], dtype=[(name, columns[name].dtype) for name in given])
+    return table, m

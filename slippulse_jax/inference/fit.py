@@ -13,6 +13,7 @@ from tqdm.auto import tqdm
 
 from slippulse_jax.domains import check_choice, check_whole
 from slippulse_jax.inference import record
+from slippulse_jax.inference.check import checked, suspicions
 from slippulse_jax.inference.choices import Body, IntervalsBy, Loss, MeasuredEvent, Method, Sigma
 from slippulse_jax.inference.intervals import (
     LEVELS,
@@ -27,16 +28,14 @@ from slippulse_jax.inference.intervals import (
     to_be_simulated,
 )
 from slippulse_jax.inference.likelihood import Problem, make_problem
-from slippulse_jax.inference.measurements import Measurements, MeasurementWarning
+from slippulse_jax.inference.measurements import Measurements, MeasurementWarning, measurements_of
 from slippulse_jax.inference.parameters import (
     STIFFNESSES,
     Parameter,
     attainable,
-    parameter_set,
     wanted_parameters,
     with_errors_of_measuring,
 )
-from slippulse_jax.inference.record import suspicions
 from slippulse_jax.inference.result import FitResult
 from slippulse_jax.inference.search import (
     SLACK,
@@ -52,7 +51,6 @@ from slippulse_jax.inference.search import (
     scaled_to_scatter,
     search,
 )
-from slippulse_jax.inference.tables import measurements_of
 from slippulse_jax.inference.verdict import judge
 
 if TYPE_CHECKING:
@@ -150,7 +148,7 @@ def fit(
     check_whole("seed", seed, 0)
     scaled = sigma == "relative" or measurements.length_sigma is None
     every = with_errors_of_measuring(measurements, wanted, size_known=not scaled)
-    problem = make_problem(measurements, parameter_set(measurements, every, event, body), loss, measurements.stated_sigma)
+    problem = make_problem(measurements, checked(measurements, every, event, body), loss, measurements.stated_sigma)
     _check_scaled(problem, scaled)
     _check_calibrated(problem, intervals, scaled)
     counts = allowed_by_counts(problem) if problem.only_counts and not problem.parameters.front.interpolated else None

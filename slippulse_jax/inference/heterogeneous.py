@@ -1,4 +1,4 @@
-"""Lengths of first precursors on one heterogeneous interface under several sliders, and their derivatives in its profile.
+"""Lengths of first precursors on a heterogeneous interface, and their derivatives.
 
 The edge is pushed until some contact reaches its threshold, which need not be contact 0: where the threshold falls or the
 prestress rises away from the edge, contact i breaks first, at the load
@@ -43,7 +43,7 @@ LANES = 8
 
 
 class Linearised(NamedTuple):
-    """The model of n fronts at one u, and its derivatives in u."""
+    """Lengths of n fronts at one u, with derivatives in u."""
 
     length: np.ndarray  # (n,) ℓ in λc; NaN where the front does not stop within the sites
     by_length: np.ndarray  # (n, k + 1)
@@ -54,7 +54,7 @@ class Linearised(NamedTuple):
 
 
 class ProfileProblem(NamedTuple):
-    """Lengths measured on one interface under n sliders, and what is known of the interface before."""
+    """Lengths measured on one interface under n sliders."""
 
     kind: ProfileKind
     knots: np.ndarray  # (k,) in λc
@@ -70,7 +70,7 @@ class ProfileProblem(NamedTuple):
         return (((length - self.measured) / self.sigma) ** 2).sum(axis=-1)
 
     def lanes(self, u: Float[np.ndarray, "... k1"]) -> tuple[np.ndarray, ...]:
-        """H/λc, k/K and ν of each front, and θ and φ of every contact in σ_s, (..., n, sites), as each slider meets them."""
+        """H/λc, k/K, ν by front, θ and φ by contact."""
         height, stiffness, poisson = self.sliders
         along = (u[..., :-1] @ self.between.T)[..., None, :]
         factor, more = (np.exp(along), 0 * along) if self.kind == "threshold" else (1 + 0 * along, along)
@@ -96,7 +96,7 @@ class ProfileProblem(NamedTuple):
 
 
 def profile_problem(m: Measurements, kind: ProfileKind, stiffness: ArrayLike) -> ProfileProblem:
-    """Set up the problem of these measurements, with k/K of shape () or (n,).
+    """Set up the problem, with k/K of shape () or (n,).
 
     Their prestress and threshold slope are known parts of the interface. A MeasurementError if one is neither a length nor a
     count, a standard error is missing, or they are not of one interface under sliders.
@@ -120,12 +120,11 @@ def profile_problem(m: Measurements, kind: ProfileKind, stiffness: ArrayLike) ->
 
 
 def _lengths(m: Measurements) -> tuple[np.ndarray, np.ndarray]:
-    """Lengths and standard errors in λc; a count stands for the middle of its last contact."""
+    """Lengths and errors in λc; counts at their last contact's middle."""
     if m.correlation_length is not None and np.ptp(m.correlation_length) > 1e-9 * m.correlation_length[0]:
         raise MeasurementError(f"{m.source}: several correlation lengths: these lengths are not from one interface")
     if m.push_height is not None:
-        column = m.columns.get("push_height", "push_height")
-        raise MeasurementError(f"{m.source}, column {column}: recover_profile takes sliders")
+        raise MeasurementError(f"{m.source}, column {m.heading('push_height')}: recover_profile takes sliders")
     if not np.isfinite(m.sigma).all():
         raise MeasurementError(f"{m.source}: recover_profile needs the standard errors of the lengths")
     whole = np.array(m.kind) == "whole"
@@ -159,7 +158,7 @@ def followed(
 
 
 def _front(height: Array, stiffness: Array, poisson: Array, theta: Array, phi: Array) -> tuple[Array, Array, Array]:
-    """ℓ of a front from the edge, NaN where it does not stop; the contact that sets the load; and t at every contact."""
+    """ℓ or NaN, the contact that sets the load, and all t."""
     modes = lattice_modes(Slider(height, stiffness, poisson))
     site = jnp.arange(theta.size)
     needed = rises((jax.vmap(modes.profile)(site.astype(theta.dtype)) @ modes.drive)[None], theta, phi[None])
@@ -192,7 +191,7 @@ def _ruptures(*lanes: Array) -> tuple[Array, Array]:
 @jax.jit
 @jax.vmap
 def _linearised(height: Array, stiffness: Array, poisson: Array, theta: Array, phi: Array, at: Array) -> tuple[Array, ...]:
-    """ℓ, and e at the measured arrest; the derivatives of each in θ, φ and ln k; and e' and t at that arrest."""
+    """ℓ, e at the arrest, their derivatives, and e' and t there."""
 
     def values(theta: Array, phi: Array, log_factor: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         length, _, stress = _front(height, stiffness * jnp.exp(log_factor), poisson, theta, phi)

@@ -13,7 +13,7 @@ from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE
 
 
 class Input(NamedTuple):
-    """One input: how it is written, where the model is defined, and the step of differences in it."""
+    """One input: its symbol, its domain, and its step of differences."""
 
     symbol: str
     low: float
@@ -35,7 +35,7 @@ COMMON = {
 
 
 class Inputs(NamedTuple):
-    """Inputs of a model, all of one shape; or, before θ is known, a `Linear` each."""
+    """Inputs of a model, of one shape; before θ, `Linear`."""
 
     log_height: Any  # ln H/λc
     log_stiffness: Any  # ln k/K
@@ -54,7 +54,7 @@ class Inputs(NamedTuple):
         threshold_slope: ArrayLike = 0,
         **more: ArrayLike,
     ) -> "Inputs":
-        """Inputs from H/λc, k/K, ν, φ, ε and others by name, which broadcast."""
+        """Inputs from H/λc, k/K, ν, φ, ε and others, which broadcast."""
         numbers = np.log(height), np.log(stiffness), poisson, prestress, threshold_slope, *more.values()
         columns = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in numbers))
         return cls(*columns[:5], more=dict(zip(more, columns[5:], strict=True)))
@@ -83,7 +83,7 @@ class Inputs(NamedTuple):
         return Inputs(*map(function, self[:5]), more={name: function(x) for name, x in self.more.items()})
 
     def at(self, theta: Any) -> "Inputs":
-        """Values of linear inputs at θ of shape (…, p); each of shape (…, n)."""
+        """Values of linear inputs, (…, n), at θ of shape (…, p)."""
         return self.map(lambda one: one(theta))
 
     def take(self, rows: Any) -> "Inputs":

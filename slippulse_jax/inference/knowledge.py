@@ -21,13 +21,16 @@ import numpy as np
 from jaxtyping import ArrayLike
 from scipy.special import logsumexp, ndtri, xlogy
 
+from slippulse_jax.choices import EventKind
 from slippulse_jax.domains import check_domain
-from slippulse_jax.front.front import EventKind, check_event
+from slippulse_jax.front.front import check_event
+from slippulse_jax.inference.check import check_used, checked
 from slippulse_jax.inference.choices import Body
+from slippulse_jax.inference.columns import NUMERIC
 from slippulse_jax.inference.fronts import front_of
 from slippulse_jax.inference.likelihood import Problem, data_log_density, make_problem
-from slippulse_jax.inference.measurements import MeasurementError, Measurements, check_used, held, numbers, table
-from slippulse_jax.inference.parameters import STIFFNESSES, Parameter, ParameterSet, parameter_set
+from slippulse_jax.inference.measurements import MeasurementError, Measurements, held, numbers, table
+from slippulse_jax.inference.parameters import STIFFNESSES, Parameter, ParameterSet
 from slippulse_jax.shown import format_number
 
 if TYPE_CHECKING:
@@ -44,10 +47,7 @@ STEP = 0.25  # spacing of the outcomes summed over, in standard errors
 SURE = 0.95  # smallest posterior of one root from which the roots count as distinguished
 REPLICATES, POINTS = 8, 512  # scrambled Sobol sequences, and points of each
 
-UNUSED = (
-    "height_sigma", "poisson_sigma", "correlation_length_sigma", "young_sigma", "push_height_sigma", "friction_sigma",
-    "displacement", "displacement_sigma", "force", "force_sigma", "gauges",
-)  # fmt: skip
+UNUSED = (*(one for one in NUMERIC if one.endswith("_sigma") and one != "length_sigma"), "displacement", "force", "gauges")
 """Columns of measurements that are left out: inputs are taken as exact, and lengths alone are used."""
 
 
@@ -180,7 +180,7 @@ class Knowledge:
         body = front_of(m).body
         event = "full" if body == "block" else event or ("domino" if prior is None else prior.event)
         m = dataclasses.replace(m, **dict.fromkeys(UNUSED))
-        problem = make_problem(m, parameter_set(m, [Parameter("stiffness", bounds=bounds)], event, body), "normal", m.sigma)
+        problem = make_problem(m, checked(m, [Parameter("stiffness", bounds=bounds)], event, body), "normal", m.sigma)
         theta = _grid(problem, nodes) if prior is None else prior.log_stiffness
         # the density, not the weight, has peaks: samples may be unevenly spaced
         share = np.gradient(theta) if prior is None else prior.weight
@@ -238,7 +238,7 @@ class Knowledge:
         return known._marked(result.parameters, lambda at: curve.theta[abs(curve.node - at[:, None]).argmin(axis=1)])
 
     def _marked(self, q: ParameterSet, at: Callable[[np.ndarray], np.ndarray]) -> "Knowledge":
-        """Find the roots at which the edge breaks again, from θ `at` the logarithms of their stiffness."""
+        """Find roots where the edge breaks again, by θ `at` ln k."""
         inputs = q.inputs_at(at(np.log([stiffness for _, stiffness, _ in self.roots])))
         again = q.front.breaks_again(inputs.ravel()).reshape(inputs.poisson.shape).any(axis=1)
         return dataclasses.replace(self, rebreaks=again)
@@ -297,7 +297,7 @@ class Knowledge:
 
 
 def moments(x: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation of samples of these weights along the first axis; NaN where all weights are zero."""
+    """Weighted mean and standard deviation along the first axis; NaN without weight."""
     x = np.where(weight > 0, x, 0)
     with np.errstate(invalid="ignore"):
         mean = (weight * x).sum(axis=0) / weight.sum(axis=0)
@@ -305,7 +305,7 @@ def moments(x: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _grid(problem: Problem, nodes: int) -> np.ndarray:
-    """Choose a grid of the one θ of a problem, finer where its likelihood is."""
+    """Choose a grid of one θ, finer where its likelihood is."""
     theta = np.linspace(problem.parameters.low[0], problem.parameters.high[0], nodes)
     for _ in range(2):
         cost = problem(theta[:, None]).value
@@ -318,7 +318,7 @@ def _grid(problem: Problem, nodes: int) -> np.ndarray:
 
 
 def _roots(density: np.ndarray) -> np.ndarray:
-    """Number the modes, and say which each node belongs to; they are separated by valleys (`VALLEY`)."""
+    """Number the mode of each node; valleys (`VALLEY`) separate them."""
     from scipy.signal import find_peaks  # slow to import, and needed here alone
 
     with np.errstate(divide="ignore"):
@@ -332,7 +332,7 @@ def _roots(density: np.ndarray) -> np.ndarray:
 
 
 class Gain(NamedTuple):
-    """What one experiment, or several together, are expected to add to the knowledge."""
+    """What experiments are expected to add to the knowledge."""
 
     information: float  # in nats
     error: float  # of it: of the quadrature, or a standard error
@@ -341,7 +341,7 @@ class Gain(NamedTuple):
 
 
 def log_likelihood(y: np.ndarray, length: np.ndarray, sigma: float, kind: Kind) -> np.ndarray:
-    """Logarithms ln p(y | ℓ) of the density that a fit has, without its constant; shape (n, m).
+    """Ln p(y | ℓ) of a fit, without its constant; (n, m).
 
     Of outcomes y of shape (n,), ∞ where the front did not stop, and lengths of shape (m,); σ may be 0 for counts.
     """
@@ -352,7 +352,7 @@ def log_likelihood(y: np.ndarray, length: np.ndarray, sigma: float, kind: Kind) 
 
 
 def outcomes(length: np.ndarray, sigma: float, kind: Kind, step: float = STEP) -> tuple[np.ndarray, np.ndarray]:
-    """Outcomes to sum over, and their weights, the constant of the density included; both of shape (n,)."""
+    """Outcomes to sum over, and weights with the density's constant; (n,)."""
     finite = length[np.isfinite(length)]
     y, dy = np.empty(0), np.empty(0)
     if finite.size and kind == "length":
@@ -370,7 +370,7 @@ def outcomes(length: np.ndarray, sigma: float, kind: Kind, step: float = STEP) -
 
 
 def expected_gain(known: Knowledge, length: np.ndarray, sigma: float, kind: Kind) -> Gain:
-    """Gain of one experiment whose length at each sample is `length`, shape (m,), by quadrature."""
+    """Gain of one experiment, by quadrature over lengths of shape (m,)."""
     information, *afterwards = _quadrature(known, length, sigma, kind, STEP)
     # every other sample of each root, with the probability of the root
     kept = np.sort(np.concatenate([np.flatnonzero(own)[::2] for own in known.by_root.T]))
@@ -382,7 +382,7 @@ def expected_gain(known: Knowledge, length: np.ndarray, sigma: float, kind: Kind
 
 
 def _quadrature(known: Knowledge, length: np.ndarray, sigma: float, kind: Kind, step: float) -> tuple[float, float, float]:
-    """Information, standard deviation of θ afterwards, and probability that one root is sure."""
+    """Information, later standard deviation of θ, and chance of certainty."""
     y, dy = outcomes(length, sigma, kind, step)
     information = stderr = apart = 0.0
     for part in np.array_split(np.arange(len(y)), max(len(y) * len(length) // 2_000_000, 1)):
@@ -400,7 +400,7 @@ def _quadrature(known: Knowledge, length: np.ndarray, sigma: float, kind: Kind, 
 
 
 def _afterwards(known: Knowledge, posterior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Standard deviation of θ, and whether one root is sure, for posteriors of shape (n, m)."""
+    """Standard deviation and certainty of posteriors of shape (n, m)."""
     theta = known.log_stiffness - known.weight @ known.log_stiffness
     mean = posterior @ theta
     variance = posterior @ theta**2 - mean**2
@@ -408,7 +408,7 @@ def _afterwards(known: Knowledge, posterior: np.ndarray) -> tuple[np.ndarray, np
 
 
 def draw(known: Knowledge, steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Draw truths and errors for a sequence of experiments, common to all candidates.
+    """Draw truths and errors of experiments, common to all candidates.
 
     `REPLICATES` independently scrambled Sobol sequences, one after another: the sample that is the truth, shape (n,), and
     standard normal errors, shape (n, steps).
@@ -422,7 +422,7 @@ def draw(known: Knowledge, steps: int, seed: int) -> tuple[np.ndarray, np.ndarra
 
 
 def log_likelihoods(truth: np.ndarray, noise: np.ndarray, length: np.ndarray, sigma: float, kind: Kind) -> np.ndarray:
-    """Logarithms ln p(y|θ_j) of the outcome of each draw of one experiment, for every sample j; shape (n, m)."""
+    """Ln p(y|θ_j) of each draw's outcome and sample j; (n, m)."""
     y = length[truth] + sigma * noise
     if kind == "length":
         return log_likelihood(y, length, sigma, kind)
@@ -432,7 +432,7 @@ def log_likelihoods(truth: np.ndarray, noise: np.ndarray, length: np.ndarray, si
 
 
 def joint_gain(known: Knowledge, truth: np.ndarray, log_p: np.ndarray) -> Gain:
-    """Gain of several experiments together; `log_p` is the sum of their `log_likelihoods`, shape (n, m)."""
+    """Gain of several experiments, from summed `log_likelihoods`, (n, m)."""
     with np.errstate(divide="ignore"):
         joint = log_p + np.log(known.weight)
     total = np.asarray(logsumexp(joint, axis=1))
@@ -445,7 +445,7 @@ def joint_gain(known: Knowledge, truth: np.ndarray, log_p: np.ndarray) -> Gain:
 def greedy(
     known: Knowledge, length: np.ndarray, error: np.ndarray, kind: Kind, gains: list[Gain], experiments: int, seed: int
 ) -> list[tuple[int, Gain]]:
-    """Choose experiments one by one, each adding most to those before it; the first by what each gains alone."""
+    """Choose experiments one by one, each adding most to those before."""
     best = int(np.argmax([gain.information for gain in gains]))
     sequence, so_far = [(best, gains[best])], 0.0
     if experiments == 1:

@@ -1,20 +1,34 @@
 """Measurements of first precursors, and readings of gauges along the interface.
 
-`slippulse_jax.inference.tables` reads both; `slippulse_jax.inference.columns` describes their columns.
+`slippulse_jax.inference.columns` describes their columns, `slippulse_jax.inference.tables` reads the text of both.
 """
 
 import dataclasses
-import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import os
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from slippulse_jax.domains import CORRELATION_LENGTH
-from slippulse_jax.inference.columns import COLUMNS, IN_LC, NUMBER, NUMERIC, MeasurementError, check, check_needs
+from slippulse_jax.inference import tables
+from slippulse_jax.inference.columns import (
+    COLUMNS,
+    GAUGE_COLUMNS,
+    IN_LC,
+    NUMBER,
+    NUMERIC,
+    UNITS_OF_LENGTH,
+    MeasurementError,
+    check_needs,
+    check_rows,
+    documented,
+    named,
+    named_of_gauges,
+)
 from slippulse_jax.shown import html, short
-from slippulse_jax.units import UNITS_OF_LENGTH
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -24,33 +38,23 @@ class MeasurementWarning(UserWarning):
     """Measurements that can be fitted but are probably not what was meant."""
 
 
-DIAMOND = 1.2e12
-"""Young's modulus of diamond, in Pa."""
-MOST_FRICTION = 2.0
-"""Coefficient of friction above which it may be in per cent."""
-LIKELY = (0.02, 1.2)
-"""Usual range of the length over the height."""
-SUSPECT = (0.01, 1.5)
-"""Range of the length over the height outside which a unit is suspected."""
-LENGTHENED = 5.0
-"""Factor on the upper end of `SUSPECT` where something may lengthen fronts."""
-
 T = TypeVar("T")
 
 
 def held(*, converter: Callable[[Any], Any], **default: Any) -> Any:
-    """Field of a table that holds what `converter` makes of an argument; type checkers let it take what that takes."""
+    """Field of a table that holds what `converter` makes of an argument."""
     return dataclasses.field(metadata={"converter": converter}, **default)
 
 
 @dataclass_transform(field_specifiers=(held, dataclasses.field), frozen_default=True, eq_default=False)
 def table(cls: type[T]) -> type[T]:
-    """Make a frozen dataclass; its ``__post_init__`` calls `convert`."""
+    """Make a frozen dataclass, and describe its columns in its docstring."""
+    cls.__doc__ = (cls.__doc__ or "").replace("{columns}", documented(cls.__annotations__))
     return dataclasses.dataclass(frozen=True, eq=False)(cls)
 
 
 def numbers(x: ArrayLike) -> np.ndarray:
-    """Convert to an array of float64, of one number at least one axis."""
+    """Convert to an array of float64, of at least one axis."""
     given = np.asarray(x)
     for one in given.ravel().tolist() if given.dtype.kind in "OU" else ():
         if isinstance(one, str) and not NUMBER.fullmatch(one):
@@ -69,7 +73,10 @@ def entries(x: Sequence[T]) -> tuple[T, ...]:
 
 
 def convert(one: Any) -> list[str]:
-    """Convert the fields of a table, and repeat a column of one number; return the names of the columns of numbers given."""
+    """Convert the fields of a table; return the columns of numbers given.
+
+    A column of one number is repeated.
+    """
     given, n, first = [], 1, ""
     for field in (field for field in dataclasses.fields(one) if "converter" in field.metadata):
         where, converter = f"{one.source}, column {field.name}", field.metadata["converter"]
@@ -101,12 +108,7 @@ class Gauges:
     ----------
     row : array_like of int, shape (r,)
         Which measurement's precursor had just stopped.
-    position : array_like, shape (r,)
-        Distance from the pushed edge, in m.
-    slip, slip_sigma : array_like, shape (r,), optional
-        How far the slider's side of the interface moved while the front ran, in m; NaN where not measured.
-    stress, stress_sigma : array_like, shape (r,), optional
-        Shear stress on the contacts after arrest, prestress included, in Pa; NaN where not measured.
+    {columns}
     lines : sequence of int, optional
         Line of each reading in the file it came from.
     source : str
@@ -138,7 +140,7 @@ class Gauges:
         object.__setattr__(self, "row", self.row.astype(int))
         given.remove("row")
         check_needs(given, {}, self.source)
-        check({name: getattr(self, name) for name in given}, self.place)
+        check_rows({name: getattr(self, name) for name in given}, self.place)
         unread = ~(self.there("slip") | self.there("stress"))
         if unread.any():
             raise MeasurementError(f"{self.place(int(np.argmax(unread)))}: neither slip nor stress was read")
@@ -160,25 +162,12 @@ class Gauges:
 class Measurements:
     """Measured first precursors, one entry per measurement.
 
-    Its fields are the columns of a table; docs/reference/columns.md ("Columns of a table") says what each means. NaN and None
-    are blank cells.
+    Columns of numbers are of shape (n,), or one number for all; NaN and None are blank cells. Lengths are in λc, also where
+    `correlation_length` is given (`from_si` takes metres).
 
     Parameters
     ----------
-    height, poisson, length : array_like, shape (n,)
-        H/λc, ν, and the measured length over λc, also where `correlation_length` is given (`from_si` takes metres).
-    length_sigma, block_length, push_height, push_width, height_sigma, push_height_sigma : array_like, shape (n,), optional
-        In λc. Without `length_sigma` the errors are taken as equal and their size from the scatter.
-    correlation_length, young, correlation_length_sigma, young_sigma : array_like, shape (n,), optional
-        λc in m, given for data in SI, and E in Pa; both turn k/K into an areal stiffness k/λc² in Pa/m.
-    prestress, threshold_slope, friction, normal_stiffness, poisson_sigma, friction_sigma : array_like, shape (n,), optional
-        Numbers without unit.
-    machine_stiffness : array_like, shape (n,), optional
-        Over the width of the block, in Pa, or in E where `young` is not given.
-    displacement, displacement_sigma, force, force_sigma : array_like, shape (n,), optional
-        Displacement of the pushed edge at nucleation, in m, and driving force per width, in N/m. They need `young`.
-    kind, push_control, contact_law, top, specimen, provenance, label : sequence of str, optional
-        Texts of the columns of these names.
+    {columns}
     gauges : Gauges, optional
         Readings of slip and stress along the interface after arrest; need `correlation_length` and `young`.
     lines, rows : sequence, optional
@@ -258,7 +247,7 @@ class Measurements:
 
     @classmethod
     def from_dataframe(cls, table: "pd.DataFrame") -> "Measurements":
-        """Measurements of a pandas.DataFrame with the columns of a CSV file; NaN and None are blank cells.
+        """Measurements of a pandas.DataFrame with the columns of a CSV file.
 
         Raises
         ------
@@ -267,9 +256,7 @@ class Measurements:
         TypeError
             If it is no DataFrame.
         """
-        from slippulse_jax.inference.tables import from_dataframe  # which makes measurements
-
-        return from_dataframe(table)
+        return cls(**tables.read(tables.of_dataframe(table), named))
 
     def __post_init__(self) -> None:
         given = convert(self)
@@ -287,7 +274,7 @@ class Measurements:
         values = {name: getattr(self, name) for name in COLUMNS if getattr(self, name, None) is not None}
         check_needs([name for name, x in values.items() if len(x)], self.columns, self.source)
         self._check_gauges()
-        check(values, self.place)
+        check_rows(values, self.place)
 
     def _check_gauges(self) -> None:
         if self.gauges is None:
@@ -329,32 +316,36 @@ class Measurements:
         """Where measurement i came from, for messages."""
         return f"{self.source}, {self.number(i)}"
 
+    def heading(self, name: str) -> str:
+        """Name of a quantity's column in the file, or the quantity."""
+        return self.columns.get(name, name)
+
     def number(self, i: int) -> str:
-        """Name of measurement i within its source: ``line 3`` of a file, ``row 1`` of a DataFrame."""
+        """Name of measurement i within its source: ``line 3``, ``row 1``."""
         counted, numbers = self.numbered
         return f"{'measurement' if counted == 'no.' else counted} {numbers[i]}"
 
     @property
     def numbered(self) -> tuple[str, Sequence[int | str]]:
-        """Heading for the numbers of the measurements, and these numbers or index labels."""
+        """Heading and numbers, or index labels, of the measurements."""
         if self.lines:
             return "line", self.lines
         return ("row", self.rows) if self.rows else ("no.", range(len(self)))
 
     def option(self, command: str, python: str) -> str:
-        """Write an option of a fit in Python, and for the command line too if the measurements came from a file."""
+        """Write an option of a fit as this user would give it."""
         return f"{command}, in Python {python}" if self.lines else python
 
     @property
     def unit(self) -> tuple[np.ndarray, str]:
-        """Size of λc in the unit of the table's lengths, (n,), and that unit: mm where arrays were given in metres."""
+        """λc, (n,), in the table's unit of length, and that unit."""
         if self.correlation_length is None:
             return np.ones(len(self)), "λc"
         unit = self.columns.get("length", "length_mm").rpartition("_")[2]
         return self.correlation_length / UNITS_OF_LENGTH[unit], unit
 
     def in_its_unit(self, i: int, length: float) -> str:
-        """Write a length along the interface, given in λc, in the unit of the table: ``14.03 mm``."""
+        """Write a length given in λc in the table's unit: ``14.03 mm``."""
         size, unit = self.unit
         return f"{length * size[i]:.5g} {unit}"
 
@@ -362,6 +353,11 @@ class Measurements:
     def in_si(self) -> bool:
         """Whether the correlation length is known in metres."""
         return self.correlation_length is not None
+
+    @property
+    def metres(self) -> np.ndarray:
+        """λc in m, or 1 where lengths have no unit; (n,)."""
+        return np.ones(len(self)) if self.correlation_length is None else self.correlation_length
 
     @property
     def sigma(self) -> np.ndarray:
@@ -389,57 +385,67 @@ class Measurements:
         return np.zeros(len(self)) if column is None else column
 
 
-def check_used(m: Measurements, what: str, *, stacklevel: int = 4) -> None:
-    """Refuse blocks with an end and soft machines for a caller that ignores them, and warn of other unused columns.
+def read_measurements(path: str | os.PathLike[str], *, gauges: str | os.PathLike[str] | None = None) -> Measurements:
+    """Read a CSV file of measured first precursors.
 
-    Errors of inputs, errors that measured lengths share, and gauges would have changed the errors of the result.
+    The page "Columns of a table" of the documentation (docs/reference/columns.md) lists its columns.
+
+    Parameters
+    ----------
+    path : path
+        UTF-8 text; comma, semicolon or tab between the columns.
+    gauges : path, optional
+        A second file: readings along the interface after arrest (`read_gauges`).
+
+    Returns
+    -------
+    Measurements
+
+    Raises
+    ------
+    OSError
+        If there is no such file, or it cannot be opened.
+    MeasurementError
+        If a column is missing or there twice, or a value is missing, not a number, or outside its domain: the message names
+        file, line and column.
     """
-    for name in ("block_length", "machine_stiffness"):
-        if getattr(m, name) is not None and np.isfinite(getattr(m, name)).any():
-            raise MeasurementError(f"{m.source}, column {name}: {what} takes blocks without end, whose edge is held")
-    errors = [f"{name}_sigma" for name in ("height", "young", "poisson", "correlation_length", "push_height", "friction")]
-    unused = [m.columns.get(name, name) for name in errors if getattr(m, name) is not None and np.any(getattr(m, name))]
-    unused += ["gauges"] * (m.gauges is not None) + ["what lengths of provenance measured share"] * ("measured" in m.provenance)
-    if unused:
-        text = f"{m.source}: {what} takes the inputs as exact and errors as independent, without {', '.join(unused)}"
-        warnings.warn(text, MeasurementWarning, stacklevel=stacklevel)
+    lengths = Measurements(**tables.read(tables.of_file(path), named))
+    return lengths if gauges is None else dataclasses.replace(lengths, gauges=read_gauges(gauges, lengths.label))
 
 
-def likely_mistakes(m: Measurements, *, prestressed: bool = False) -> Iterator[str]:
-    """Name the columns that may have been exchanged, or may be in another unit than their names say.
+def read_gauges(path: str | os.PathLike[str], labels: Sequence[str]) -> Gauges:
+    """Read a CSV file of gauges, one reading per line.
 
-    A prestress, stated or to be fitted, may lengthen fronts several times, as may a machine that gives way and an end.
+    Lines are skipped as in the table of lengths. A cell is blank where one of slip and stress was not measured.
+
+    Parameters
+    ----------
+    path : path
+    labels : sequence of str
+        Labels of the measured precursors.
+
+    Raises
+    ------
+    MeasurementError
+        Naming file, line and column.
     """
-    lengthened = prestressed or m.or_zero("prestress").any() or m.machine_stiffness is not None or m.block_length is not None
-    most = SUSPECT[1] * (LENGTHENED if lengthened else 1)
-    height, length = (m.columns.get(name, name) for name in ("height", "length"))
-    over = float(np.median(m.length / m.height))
-    if not SUSPECT[0] <= over <= most:
-        may_be = [f"are {height} and {length} exchanged"] * (LIKELY[0] <= 1 / over <= LIKELY[1])
-        if m.in_si:
-            may_be += [f"is {height} in {unit}" for unit in _other_units(height, lambda factor: over / factor)]
-            may_be += [f"is {length} in {unit}" for unit in _other_units(length, lambda factor: over * factor)]
-        if may_be:
-            yield f"the lengths are about {over:.3g} times the heights: {', or '.join(may_be)}?"
-    if m.friction is not None and m.friction.max() > MOST_FRICTION:
-        column = m.columns.get("friction", "friction")
-        yield f"a coefficient of friction of {m.friction.max():g} is that of no dry contact: is {column} in per cent?"
-    if m.correlation_length is None:
-        return
-    if (m.height * m.correlation_length).max() < 1e-3:
-        yield f"every height is below 1 mm: is {height} in m?"
-    shortest = float(m.correlation_length.min())
-    if shortest < 1e-7:
-        column = m.columns.get("correlation_length", "correlation_length")
-        yield f"a correlation length of {shortest * 1e9:.3g} nm is that of no rough interface: is {column} in mm?"
-    if m.young is not None and m.young.max() > DIAMOND:
-        column = m.columns.get("young", "young")
-        yield f"a Young's modulus of {m.young.max() / 1e9:.4g} GPa is above diamond's: is {column} in MPa?"
+    found = tables.read(tables.of_file(path), named_of_gauges)
+    count, row = Counter(labels), {label: row for row, label in enumerate(labels)}
+    for line, label in zip(found["lines"], found["label"], strict=True):
+        if count[label] != 1:
+            many = f"{count[label]} measurements have" if count[label] else "no measurement has"
+            where = f"{os.fspath(path)}, line {line}, column label"
+            raise MeasurementError(f"{where}: {many} the label {label!r}; each needs its own, in a column label")
+    given = {name: found[name] for name in (*GAUGE_COLUMNS, "lines", "source", "skipped") if name in found}
+    return Gauges([row[label] for label in found["label"]], **given)
 
 
-def _other_units(column: str, ratio: Callable[[float], float]) -> list[str]:
-    """Units of length in which the column would have usual values."""
-    own = UNITS_OF_LENGTH.get(column.rpartition("_")[2], 1.0)
-    ratios = {unit: ratio(size / own) for unit, size in UNITS_OF_LENGTH.items() if unit not in ("µm", "μm", "nm")}
-    found = [unit for unit, over in ratios.items() if LIKELY[0] <= over <= LIKELY[1]]
-    return sorted(found, key=lambda unit: unit == "cm")  # a mistake by a factor of 1000 is likelier
+def measurements_of(given: Any) -> Measurements:
+    """Return measurements, or read them from a DataFrame or a file."""
+    if isinstance(given, Measurements):
+        return given
+    if isinstance(given, str | os.PathLike):
+        return read_measurements(given)
+    if hasattr(given, "itertuples") and hasattr(given, "columns"):
+        return Measurements.from_dataframe(given)
+    raise TypeError(f"measurements is {type(given).__name__}: must be Measurements, pandas.DataFrame or the path of a CSV file")

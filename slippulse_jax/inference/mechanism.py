@@ -1,4 +1,4 @@
-"""Pulse or crack: which of the two fronts measurements tell apart, and with what power.
+"""Pulse or crack: which of two fronts measurements show.
 
 Both are fitted. The difference of their deviances is compared with what it is in measurements simulated from either fit, and
 fitted by both: no theorem holds for models of which none contains the other.
@@ -123,7 +123,7 @@ def pulse_or_crack(
 def _differences(
     truth: FitResult, pulse: FitResult, crack: FitResult, count: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, float]:
-    """Deviance of the pulse less that of the crack in simulated measurements; and the share of refits not converged."""
+    """Simulated deviances of pulse less crack, and the share not converged."""
     drawn = simulated(truth, count, rng)
     values = {data.observable: data.value for data in drawn.observed}
     weights = {data.observable: data.weight for data in drawn.observed}

@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slippulse_jax.domains import check_choice
+from slippulse_jax.inference.check import checked
 from slippulse_jax.inference.choices import Body, Loss, MeasuredEvent
 from slippulse_jax.inference.likelihood import Problem, make_problem
-from slippulse_jax.inference.measurements import Measurements
-from slippulse_jax.inference.parameters import Parameter, parameter_set, wanted_parameters, with_errors_of_measuring
+from slippulse_jax.inference.measurements import Measurements, measurements_of
+from slippulse_jax.inference.parameters import Parameter, wanted_parameters, with_errors_of_measuring
 from slippulse_jax.inference.search import lowest_look
-from slippulse_jax.inference.tables import measurements_of
 from slippulse_jax.keywords import did_you_mean
 
 if TYPE_CHECKING:
@@ -118,4 +118,4 @@ def objective(
         warnings.warn(what, RuntimeWarning, stacklevel=2)
     check_choice("loss", loss, Loss)
     wanted = with_errors_of_measuring(m, wanted_parameters(free, bounds, fixed), size_known=True)
-    return Objective(make_problem(m, parameter_set(m, wanted, event, body), loss, m.stated_sigma))
+    return Objective(make_problem(m, checked(m, wanted, event, body), loss, m.stated_sigma))

@@ -1,4 +1,4 @@
-"""Observables beside the length: force and displacement at nucleation, slip and stress at gauges after arrest.
+"""Observables beside the length, at nucleation and after arrest.
 
 Force and displacement are closed forms in the two lattice modes. Gauges read slip and stress along the interface when the
 front has stopped, which go over smoothly from one whole count of contacts to the next. Each is a JAX function of the inputs of
@@ -27,14 +27,14 @@ largest the prediction is inf."""
 
 
 def displacement(front: Front, inputs: Inputs, relaxed: bool) -> Array:
-    """Displacement of the edge, whatever pushes it, at nucleation, in u_s = f_s/k."""
+    """Displacement of the pushed edge at nucleation, in u_s = f_s/k."""
     return (1 - inputs.prestress) * lattice_modes(sliders(inputs, jnp.exp), _without_machine(inputs)).load
 
 
 def force(front: Front, inputs: Inputs, relaxed: bool) -> Array:
-    """Driving force at nucleation, which is the sum over the contacts, in f_s, the threshold of one contact.
+    """Driving force at nucleation, in f_s, the threshold of one contact.
 
-    It is Σ_i Σ_m C_m y_m(i), a geometric series in each mode.
+    It is the sum over the contacts, Σ_i Σ_m C_m y_m(i), a geometric series in each mode.
     """
     ends = _without_machine(inputs)
     modes = lattice_modes(sliders(inputs, jnp.exp), ends)
@@ -49,17 +49,17 @@ def _without_machine(inputs: Inputs) -> Any:
 
 
 def slip(front: Front, inputs: Inputs, relaxed: bool, sites: int) -> Array:
-    """Slip of the interface at a gauge when the front has stopped, in u_s; inf where it never stops."""
+    """Slip at a gauge after arrest, in u_s; inf without arrest."""
     return _reading(0, front, inputs, relaxed, sites)
 
 
 def stress(front: Front, inputs: Inputs, relaxed: bool, sites: int) -> Array:
-    """Stress on the contacts at a gauge when the front has stopped, in σ_s; inf where it never stops."""
+    """Stress at a gauge after arrest, in σ_s; inf without arrest."""
     return _reading(1, front, inputs, relaxed, sites)
 
 
 def _reading(which: int, front: Front, inputs: Inputs, relaxed: bool, sites: int) -> Array:
-    """Slip or stress of the first `sites` contacts, at one place between two of them; inf where the front runs farther."""
+    """Slip or stress between two contacts; inf if `sites` are too few."""
     lone = inputs.without(*OF_GAUGES)
     # contact 0 has broken even where no domino starts
     free = jnp.maximum(front.length(lone, relaxed) + inputs.get("beyond"), 1)

@@ -1,4 +1,4 @@
-"""Parameters of a fit, and the linear map from the fitted numbers θ to the named inputs of the model.
+"""Parameters of a fit, and the linear map to the model's inputs.
 
 Positive parameters are fitted as θ = ln(value), the others as they are. Every input of the model (`Inputs`), and the logarithm
 of every scale that turns model units into measured ones, is then **linear** in θ. Heights, moduli and correlation lengths with
@@ -14,11 +14,10 @@ import numpy as np
 
 from slippulse_jax.bulk.chunks import distinct_rows
 from slippulse_jax.inference.choices import Body, MeasuredEvent
-from slippulse_jax.inference.fronts import STIFFEST, Front, WholeEvent, front_for, front_of
+from slippulse_jax.inference.fronts import Front, front_of
 from slippulse_jax.inference.inputs import COMMON, Inputs
 from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.keywords import did_you_mean
-from slippulse_jax.units import UNITS_OF_LENGTH, UNITS_OF_MODULUS
 
 SCALES = ("length", "displacement", "force", "slip", "stress", "position", "offset", "beyond")
 """ln(unit of measurement per unit of the model) of each observable; what is added to a length, in λc; and the contacts broken
@@ -27,8 +26,6 @@ PRIOR_REACH = 6.0
 """Standard deviations of a prior searched on either side where no bounds are given."""
 HELD = 1e-6
 """Deviation of a prior, over the mean, below which it must have been given in another unit."""
-FAR = 50.0
-"""Factor between a parameter and the value in the table above which a unit is suspected: m and cm are 100 apart."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -133,7 +130,7 @@ class Free(NamedTuple):
     nuisance: bool  # fitted only because it has an error of its own
 
     def value(self, theta: Any) -> Any:
-        """Convert θ, a number or an array, to the parameter in its unit."""
+        """Convert θ to the parameter in its unit."""
         value = np.exp(theta) if self.log else theta
         return value if np.ndim(theta) else float(value)
 
@@ -144,7 +141,7 @@ class Free(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ParameterSet:
-    """The map from θ, shape (p,), to the inputs of the model for every measurement."""
+    """The map from θ, (p,), to the inputs of every measurement."""
 
     free: tuple[Free, ...]
     held: dict[str, float]  # by name, in their units
@@ -169,7 +166,7 @@ class ParameterSet:
         return self.free[self.index(name)]
 
     def values(self, theta: np.ndarray, *, nuisance: bool = False) -> dict[str, float]:
-        """Values of the requested parameters at θ, shape (p,), or of those fitted because of their errors."""
+        """Values at θ, (p,), of the requested parameters, or of nuisances."""
         return {one.label: one.value(t) for one, t in zip(self.free, theta, strict=True) if one.nuisance == nuisance}
 
     @property
@@ -183,17 +180,17 @@ class ParameterSet:
         return np.array([one.high for one in self.free])
 
     def rows_of(self, index: int) -> np.ndarray:
-        """Indices of the measurements whose inputs depend on a parameter; of all if none do."""
+        """Measurements whose inputs depend on a parameter; all if none do."""
         slopes = np.array([self.inputs.get(name).slope[:, index] for name in self.inputs.names])
         own = np.flatnonzero(slopes.any(axis=0))
         return own if own.size else np.arange(slopes.shape[1])
 
     def inputs_at(self, theta: np.ndarray) -> Inputs:
-        """Inputs of each measurement, shape (…, n), at θ of shape (…, p)."""
+        """Inputs, shape (…, n), at θ of shape (…, p)."""
         return self.inputs.at(theta)
 
     def common_ratio(self, theta: np.ndarray) -> float | None:
-        """k/K at θ where a stiffness is fitted and k/K is the same for all measurements."""
+        """k/K at θ where one is fitted for all measurements."""
         fitted = any("stiffness" in one.label for one in self.free if not one.nuisance)
         return self.inputs_at(theta).common_ratio if fitted else None
 
@@ -254,25 +251,22 @@ def parameter_set(
     *,
     front: Front | None = None,
 ) -> ParameterSet:
-    """Map the parameters of a fit to the inputs of the model for these measurements.
+    """Map the parameters of a fit to the inputs of the model.
 
     Everything that is neither fitted nor held is as stated with the measurements; "stiffness" stands for whichever stiffness
     they determine. `event` and `body` are as for `front_of`; or `front` is the model of a length, that of measurements much
-    like these. A ValueError if a parameter is given twice, has no meaning for these measurements, is needed and missing, or its
-    limits leave the domain of the model.
+    like these. What a user asks for is checked before (`slippulse_jax.inference.check.checked`).
     """
     wanted = tuple(Parameter(one) if isinstance(one, str) else one for one in wanted)
-    front, chosen = front_of(m, event, body) if front is None else front, _validated(m, wanted)
-    front.check(m, {one.name for one in chosen})
-    log_lc = np.zeros(len(m)) if m.correlation_length is None else np.log(m.correlation_length)
-    log_young = np.zeros(len(m)) if m.young is None else np.log(m.young)
-    stated = np.log(m.height), log_lc - log_young, m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope")
-    inputs = dict(zip(COMMON, stated, strict=True)) | front.stated(m)
+    front, chosen = front_of(m, event, body) if front is None else front, with_names(m, wanted)
+    log_lc, log_young = np.log(m.metres), 0.0 if m.young is None else np.log(m.young)
+    every = np.log(m.height), log_lc - log_young, m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope")
+    inputs = dict(zip(COMMON, every, strict=True)) | front.stated(m)
     base = inputs | {name: log_lc if name == "force" else np.zeros(len(m)) for name in SCALES}
     free: list[Free] = []
     slopes: list[dict[str, np.ndarray]] = []
     held: dict[str, float] = {}
-    for parameter, label, rows in (*_asked(m, chosen), *_uncertain(m, front, chosen), *_arrests(m)):
+    for parameter, label, rows in (*_asked(m, chosen), *_uncertain(m, front), *_arrests(m)):
         name = parameter.name
         reference, acts = inputs.get(name, _reference(m, name)), _acts(m, name, rows)
         if parameter.value is not None:
@@ -290,10 +284,7 @@ def parameter_set(
         return Linear(base[target], np.stack(columns, axis=-1).astype(float))
 
     maps = Inputs(*map(linear, COMMON), more={name: linear(name) for name in inputs if name not in COMMON})
-    q = ParameterSet(tuple(free), held, maps, {name: linear(name) for name in SCALES}, front, wanted)
-    _check_domain(m, q)
-    _check_reached(m, q)
-    return q
+    return ParameterSet(tuple(free), held, maps, {name: linear(name) for name in SCALES}, front, wanted)
 
 
 def with_errors_of_measuring(m: Measurements, wanted: Sequence[Parameter], *, size_known: bool) -> list[Parameter]:
@@ -307,8 +298,7 @@ def with_errors_of_measuring(m: Measurements, wanted: Sequence[Parameter], *, si
         return list(wanted)
     priors = {"model_factor": (1.0, MODEL_ERROR)}
     if size_known and m.length_sigma is not None:
-        metres = np.ones(len(m)) if m.correlation_length is None else m.correlation_length
-        priors = {"offset": (0.0, float(np.median((m.length_sigma * metres)[of_lengths])))} | priors
+        priors = {"offset": (0.0, float(np.median((m.length_sigma * m.metres)[of_lengths])))} | priors
     named = {one.name for one in wanted}
     return [*wanted, *(Parameter(name, prior=prior, nuisance=True) for name, prior in priors.items() if name not in named)]
 
@@ -324,55 +314,59 @@ def _asked(m: Measurements, chosen: Sequence[Parameter]) -> Iterator[tuple[Param
         groups = {f"{name}[{one}]": np.array([s == one for s in m.specimen]) for one in specimens}
         groups = groups or {name: measured if shared else every}
         for label, rows in groups.items():
-            stated = getattr(m, name, None) if PARAMETERS[name].factor and name not in HEIGHTS else None
-            if parameter.value is None and stated is not None and np.ptp(stated[rows]) > 0:
+            given = getattr(m, name, None) if PARAMETERS[name].factor and name not in HEIGHTS else None
+            if parameter.value is None and given is not None and np.ptp(given[rows]) > 0:
                 raise ValueError(f"parameter {label}: the measurements state more than one value of it; one must be shared")
             yield parameter, label, rows
 
 
 def _acts(m: Measurements, name: str, rows: np.ndarray) -> dict[str, np.ndarray]:
-    """What a unit of θ adds to each input and scale of every measurement."""
-    acts = {target: size * rows for target, size in PARAMETERS[name].acts.items()}
-    if name == "offset" and m.correlation_length is not None:
-        acts["offset"] = rows / m.correlation_length
-    return acts
+    """What a unit of θ adds to inputs and scales, by measurement."""
+    return {target: size * rows / (m.metres if name == "offset" else 1) for target, size in PARAMETERS[name].acts.items()}
+
+
+def stated(m: Measurements, name: str, error: str = "") -> np.ndarray | None:
+    """What the measurements state of a parameter, in its unit; (n,)."""
+    column = getattr(m, name + error, None)
+    return column if column is None or name not in HEIGHTS else column * m.metres
 
 
 def _reference(m: Measurements, name: str) -> np.ndarray:
-    """θ at which a parameter adds nothing to any row: the value stated with the measurements."""
-    column = getattr(m, name, None)
-    if column is None:
+    """θ of the value stated with the measurements, which adds nothing."""
+    value = stated(m, name)
+    if value is None:
         return np.zeros(len(m))
-    if name in HEIGHTS and m.correlation_length is not None:
-        column = column * m.correlation_length
-    return np.log(column) if PARAMETERS[name].log else column
+    return np.log(value) if PARAMETERS[name].log else value
 
 
 def _free(m: Measurements, front: Front, parameter: Parameter, label: str, rows: np.ndarray, reference: float) -> Free:
     """The θ of a parameter: its range and its prior."""
     kind = PARAMETERS[parameter.name]
-    low, high = parameter.bounds or _default_bounds(m, front, parameter, rows, reference)
+    low, high = parameter.bounds or default_bounds(m, front, parameter, rows, reference)
     mean, sigma = parameter.prior or (1.0, np.inf)
     if kind.log:
         low, high, mean, sigma = np.log(low), np.log(high), np.log(mean), sigma / mean
-    numbers, unit = (float(low), float(high), mean, sigma), kind.unit[m.correlation_length is not None]
+    numbers, unit = (float(low), float(high), mean, sigma), kind.unit[m.in_si]
     symbol = kind.symbol or front.inputs[parameter.name].symbol
     return Free(label, parameter.name, symbol, unit, kind.log, *numbers, parameter.nuisance)
 
 
-def _uncertain(m: Measurements, front: Front, chosen: Sequence[Parameter]) -> Iterator[tuple[Parameter, str, np.ndarray]]:
-    """A parameter with a prior per true value of an input that rows share: same specimen, same stated value and error."""
+def stated_errors(m: Measurements, front: Front) -> dict[str, np.ndarray]:
+    """Errors of inputs that the measurements state, as `stated`."""
     of_blocks = ("push_height", "friction") if front.body == "block" else ()
-    for name in ("height", "poisson", "correlation_length", "young", *of_blocks):
-        sigma = getattr(m, f"{name}_sigma")
-        if sigma is None or not np.nan_to_num(sigma).any():
-            continue
-        if any(one.name == name for one in chosen):
-            raise ValueError(
-                f"{name} is to be fitted, and the measurements state its error: give it a prior there, or leave it out here"
-            )
-        in_m = m.correlation_length if name in HEIGHTS and m.correlation_length is not None else 1.0
-        keys = list(zip(m.specimen or ("",) * len(m), getattr(m, name) * in_m, sigma * in_m, strict=True))
+    every = {name: stated(m, name, "_sigma") for name in ("height", "poisson", "correlation_length", "young", *of_blocks)}
+    return {name: sigma for name, sigma in every.items() if sigma is not None and np.nan_to_num(sigma).any()}
+
+
+def _uncertain(m: Measurements, front: Front) -> Iterator[tuple[Parameter, str, np.ndarray]]:
+    """A parameter with a prior per true value of an uncertain input.
+
+    Rows of the same specimen, stated value and error share one.
+    """
+    for name, sigma in stated_errors(m, front).items():
+        column = stated(m, name)
+        assert column is not None  # as it has an error
+        keys = list(zip(m.specimen or ("",) * len(m), column, sigma, strict=True))
         for key in dict.fromkeys(keys):
             specimen, value, error = key
             if error > 0:
@@ -382,14 +376,14 @@ def _uncertain(m: Measurements, front: Front, chosen: Sequence[Parameter]) -> It
 
 
 def _arrests(m: Measurements) -> Iterator[tuple[Parameter, str, np.ndarray]]:
-    """A parameter per precursor whose gauges were read and whose contacts were not counted."""
+    """A parameter per precursor with gauges whose contacts were not counted."""
     for i in () if m.gauges is None else dict.fromkeys(m.gauges.row):
         if m.kind[i] != "whole":
             label = f"arrest[{m.label[i] if m.label else i}]"
             yield Parameter("arrest", prior=ARREST, nuisance=True), label, np.arange(len(m)) == i
 
 
-def _default_bounds(
+def default_bounds(
     m: Measurements, front: Front, parameter: Parameter, rows: np.ndarray, reference: float
 ) -> tuple[float, float]:
     """Default range of the search, in the unit of the parameter."""
@@ -409,7 +403,7 @@ def _default_bounds(
         # for blocks, the range in which all have a precursor and b is not too large for any
         all_of = front.body == "block" and lowest.max() < highest.min()
         return (float(lowest.max()), float(highest.min())) if all_of else (float(lowest.min()), float(highest.max()))
-    size = 1.0 if m.correlation_length is None else float(m.correlation_length[rows].max())
+    size = float(m.metres[rows].max())
     own = {"offset": (-longest * size, longest * size), "threshold_slope": (-0.5 / longest, 2 / longest)}.get(name)
     if bounds := PARAMETERS[name].bounds or own:
         return bounds
@@ -423,175 +417,34 @@ def _default_bounds(
     return float(np.exp(reference)) * low, float(np.exp(reference)) * high
 
 
-def _check_reached(m: Measurements, q: ParameterSet) -> None:
-    """Refuse bounds, a prior or a value of the stiffness at which no domino starts: probably in another unit.
-
-    That is, where no measurement is of more than the contact at the edge, whatever the other parameters searched.
-    """
-    name, is_block = stiffness_name(m), q.front.body == "block"
-    one = next(one for one in q.wanted if one.name in ("stiffness", name))
-    key = next((key for key in ("bounds", "prior", "value") if getattr(one, key) is not None), None)
-    if key is None or m.length.min() <= 1:
-        return
-    reach = {each: _reach(q, q.inputs.get(each)) for each in q.inputs.names}
-    easiest = {each: ends[each not in ("threshold_slope", "friction", "log_machine")] for each, ends in reach.items()}
-    low, high = reach["log_stiffness"]
-    softest = np.log(front_for("slider", "domino").softest(m))
-    some = np.flatnonzero(high > softest)
-    from_, to = np.maximum(low, softest)[some], high[some]
-    rows = Inputs.from_table([*easiest], np.stack([*easiest.values()], axis=-1)).take(some)
-    front = front_for("slider", "domino") if isinstance(q.front, WholeEvent) else q.front  # whose events start with it
-    for share in (0.5, 1.0, 0.0, *np.linspace(0, 1, 65)) if len(some) else ():
-        at = rows._replace(log_stiffness=from_ + share * (to - from_))
-        if (front.lengths(at) > 1).any():
-            return
-    lowest, highest = _default_bounds(m, q.front, Parameter(name), np.ones(len(m), dtype=bool), 0.0)
-    lowest *= 1 if is_block else 100  # the default range of sliders begins where none starts
-    in_si, numbers = m.correlation_length is not None, np.atleast_1d(getattr(one, key))
-    unit, ratio = PARAMETERS[name].unit[in_si], numbers[0] / ratio_per_unit(m).max()
-    shown = ", ".join(f"{x:g}" for x in numbers)
-    raise ValueError(
-        f"{key} = {f'({shown})' if key != 'value' else shown} of {name}{f', in {unit}' * in_si}: no domino starts at k/K "
-        f"{_span(np.exp(low.min()), np.exp(high.max()))}; expected within {lowest:.2g} to {highest:.2g} {unit}".rstrip()
-        + f" (k/K = {numbers[0]:g} is {ratio:.2g} {unit})" * bool(in_si and numbers[0] <= STIFFEST)
-    )
-
-
 def ratio_per_unit(m: Measurements) -> np.ndarray:
-    """k/K of each measurement per unit of its stiffness; with E = 1 where the table has none."""
-    if m.correlation_length is None:
-        return np.ones(len(m))
-    return m.correlation_length if m.young is None else m.correlation_length / m.young
-
-
-def _check_domain(m: Measurements, parameters: ParameterSet) -> None:
-    """Check that no limit leads outside the domain of the model."""
-    every = {**COMMON, **parameters.front.inputs}
-    for name in parameters.inputs.names:
-        linear = parameters.inputs.get(name)
-        least, most = _reach(parameters, linear)
-        reach = [float(least.min()), float(most.max())]
-        symbol, low, high, requirement = every[name][:4]
-        if reach[0] < low - 1e-9 or reach[1] > high + 1e-9:
-            acting = [one for one in parameters.wanted if name in PARAMETERS[one.name].acts]
-            if mistaken := "; ".join(mistaken_priors(m, acting)):
-                raise ValueError(mistaken)
-            shown = [np.exp(x) if name.startswith("log") else x for x in reach]
-            moving = " and ".join(one.label for one, by in zip(parameters.free, linear.slope.any(axis=0), strict=True) if by)
-            held = " and ".join(f"{one} = {x:g}" for one, x in parameters.held.items() if name in PARAMETERS[one].acts)
-            searched = f"the range searched for {moving}" + f" with {held}" * bool(held) if moving else held
-            raise ValueError(
-                f"{searched} means {symbol} {_span(*shown)} for some measurement: {requirement}; give "
-                + ("other bounds or another prior" if moving else "another value")
-            )
-
-
-def _span(low: float, high: float) -> str:
-    """Write a range, or the one number in it: ``from 0.1 to 0.7``, ``= 3``."""
-    return f"from {low:.4g} to {high:.4g}" if low < high else f"= {low:.4g}"
-
-
-def _reach(q: ParameterSet, linear: Linear) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest number that each measurement gets from any θ searched."""
-    down, up = np.minimum(linear.slope, 0), np.maximum(linear.slope, 0)
-    return linear.base + up @ q.low + down @ q.high, linear.base + up @ q.high + down @ q.low
+    """k/K of each measurement per unit of its stiffness; without E, 1."""
+    return m.metres if m.young is None else m.metres / m.young
 
 
 def stiffness_name(m: Measurements) -> str:
     """Name of the stiffness that these measurements determine."""
-    if m.correlation_length is None:
+    if not m.in_si:
         return "stiffness"
     return "areal_stiffness_over_young" if m.young is None else "areal_stiffness"
 
 
-def _validated(m: Measurements, wanted: Sequence[Parameter]) -> list[Parameter]:
-    """Validate the requested parameters against the measurements; the stiffness takes the name it has for them."""
-    stiffness = stiffness_name(m)
-    # k/K in SI is the areal stiffness for a fixed λc/E
-    chosen = [replace(one, name=stiffness) if one.name == "stiffness" else one for one in wanted]
-    names = [one.name for one in chosen]
-    for one in chosen:
-        if names.count(one.name) > 1:
-            raise ValueError(f"parameter {one.name} is given {names.count(one.name)} times")
-        _check_meaning(m, one, stiffness)
-    if stiffness not in names:
-        option = m.option(f"--free stiffness, or --fix {stiffness}=VALUE", f"fixed={{{stiffness!r}: …}}, or free with it")
-        raise ValueError(f"{stiffness} is neither fitted nor held: name it: {option}")
-    if "strength" not in names and (carrier := _carries_strength(m)):
-        asked = ["stiffness" if one.name == stiffness else one.name for one in chosen if one.value is None and not one.nuisance]
-        both = dict.fromkeys([*asked, "strength"])
-        option = m.option(" ".join(f"--free {name}" for name in both), f"free={[*both]}".replace("'", '"'))
-        raise ValueError(f"{carrier} scales with σ_s: fit strength too, or hold it at its value in Pa: {option}")
-    if not any(one.value is None for one in chosen):
-        raise ValueError("nothing is fitted: every parameter is held")
-    return chosen
-
-
-def mistaken_priors(m: Measurements, wanted: Iterable[Parameter]) -> Iterator[str]:
-    """Name the parameters whose priors, values or bounds are far from what the table states: they are taken in SI."""
-    for one in wanted:
-        key = next((key for key in ("prior", "value", "bounds") if getattr(one, key) is not None), None)
-        stated = getattr(m, one.name, None)
-        if key is None or stated is None or one.name not in (*HEIGHTS, "young", "correlation_length"):
-            continue
-        if one.name in HEIGHTS and m.correlation_length is not None:
-            stated = stated * m.correlation_length
-        stated = stated[np.isfinite(stated)]
-        if one.name in HEIGHTS and one.each is None:  # shown as that of the first
-            stated = stated[:1]
-        low, high = getattr(one, key) if key == "bounds" else np.repeat(getattr(one, key), 2)[:2]
-        if max(low / stated.max(), stated.min() / high) > FAR:
-            unit, column = PARAMETERS[one.name].unit[m.in_si], m.columns.get(one.name, one.name)
-            sizes = (UNITS_OF_MODULUS if one.name == "young" else UNITS_OF_LENGTH) if m.in_si else {}
-            off = {other: abs(np.log(low * size / stated[0])) for other, size in sizes.items()}
-            nearest = min(off, key=off.__getitem__, default="")
-            guess = f"; is it in {nearest}?" * bool(nearest and off[nearest] < np.log(FAR))
-            number = f"{low:g} to {high:g}" if key == "bounds" else f"{low:g}"
-            yield (
-                f"{one.name} = {number} {unit}, where {column} says {stated[0]:.4g} {unit}: priors, bounds and held values are "
-                f"in {unit}{guess}"
-            )
-
-
-def _check_meaning(m: Measurements, one: Parameter, stiffness: str) -> None:
-    """Check that a parameter has a meaning for these measurements."""
-    if one.name == "push_height" and m.push_height is None:
-        raise ValueError("parameter push_height: the measurements state no push_height to start from")
-    if one.name == "arrest":
-        raise ValueError("parameter arrest: it is fitted wherever gauges were read; do not name it")
-    if one.name in STIFFNESSES and one.name != stiffness:
-        raise ValueError(f"parameter {one.name}: these measurements determine {stiffness}")
-    if one.name in NEEDS_SI and m.correlation_length is None:
-        raise ValueError(f"parameter {one.name}: needs measurements in SI, with their correlation length")
-    if one.name == "young" and m.young is None:
-        raise ValueError("parameter young: the measurements state no young_GPa to start from")
-    if one.each == "specimen" and not m.specimen:
-        raise ValueError(f"parameter {one.name}: each = 'specimen', but the measurements name no specimens")
-    if one.name == "model_factor" and one.prior is None and one.value is None:
-        raise ValueError(
-            "parameter model_factor: needs a prior, as (1, 0.05): the lengths alone cannot separate it from stiffness"
-        )
-
-
-def _carries_strength(m: Measurements) -> str:
-    """Name the columns of a measured quantity that scales with σ_s, and their file; empty if there is none."""
-    names = [name for name in ("displacement", "force") if getattr(m, name) is not None and np.isfinite(m.or_zero(name)).any()]
-    if names:
-        return f"{m.source}, column {' and '.join(m.columns.get(name, name) for name in names)}: what it states"
-    return f"{m.gauges.source}: what gauges read" if m.gauges is not None else ""
+def with_names(m: Measurements, wanted: Iterable[Parameter]) -> list[Parameter]:
+    """Name the stiffness as these measurements determine it."""
+    return [replace(one, name=stiffness_name(m)) if one.name == "stiffness" else one for one in wanted]
 
 
 def attainable(parameters: ParameterSet, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Longest length of each measurement at any stiffness searched, in λc, and the k/K where; shapes (n,).
+    """Longest length of each measurement, in λc, and the k/K where.
 
-    The other parameters stay as in `theta`.
+    At any stiffness searched; shapes (n,). The other parameters stay as in `theta`.
     """
     longest, where = attainable_of(parameters, theta, parameters.inputs)
     return longest * np.exp(parameters.scales["length"](theta)) + parameters.scales["offset"](theta), where
 
 
 def attainable_of(parameters: ParameterSet, theta: np.ndarray, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
-    """Longest length for other inputs, a `Linear` each, at any stiffness searched; in true λc, without offset."""
+    """Longest lengths of linear inputs, in true λc without offset."""
     at = inputs.at(theta)
     low, high = np.array(at.log_stiffness), np.array(at.log_stiffness)
     for i, one in enumerate(parameters.free):

@@ -9,7 +9,6 @@ import platform
 import tomllib
 import types
 import typing
-from collections.abc import Sequence
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin
 
@@ -17,11 +16,12 @@ import numpy as np
 
 from slippulse_jax.files import plain, read_whole, shortened
 from slippulse_jax.inference.changes import Change
+from slippulse_jax.inference.check import checked, suspicions
 from slippulse_jax.inference.choices import Loss
 from slippulse_jax.inference.columns import GAUGE_COLUMNS, NUMERIC
 from slippulse_jax.inference.likelihood import make_problem
-from slippulse_jax.inference.measurements import Gauges, Measurements, likely_mistakes
-from slippulse_jax.inference.parameters import Parameter, mistaken_priors, parameter_set, with_errors_of_measuring
+from slippulse_jax.inference.measurements import Gauges, Measurements
+from slippulse_jax.inference.parameters import Parameter, with_errors_of_measuring
 from slippulse_jax.status import Outcome
 from slippulse_jax.theory import rebreaking_b
 
@@ -150,12 +150,6 @@ def to_dict(result: "FitResult") -> dict[str, Any]:
     return plain(follows) | encode(result) | {"request": as_request(result.request)} | after
 
 
-def suspicions(m: Measurements, wanted: Sequence[Parameter]) -> tuple[str, ...]:
-    """Likely mistakes of a table, and of what is wanted from it."""
-    prestressed = any(one.name == "prestress" for one in wanted)
-    return *likely_mistakes(m, prestressed=prestressed), *mistaken_priors(m, wanted)
-
-
 def of_dict(kind: type[Record], content: dict[str, Any]) -> tuple[Record, dict[str, Any]]:
     """Restore a fit, and its `changes` and `next_steps`, from `to_dict`.
 
@@ -169,7 +163,7 @@ def of_dict(kind: type[Record], content: dict[str, Any]) -> tuple[Record, dict[s
     m = decode(Measurements, content["measurements"])
     size_known = m.length_sigma is not None and request["sigma"] == "absolute"
     wanted = with_errors_of_measuring(m, request["free"], size_known=size_known)
-    q = parameter_set(m, wanted, request["event"], request["body"])
+    q = checked(m, wanted, request["event"], request["body"])
     problem = make_problem(m, q, request["loss"], m.stated_sigma)
     if content.get("between_contacts") is not None:
         problem = problem.widened(np.array(content["between_contacts"], dtype=float))

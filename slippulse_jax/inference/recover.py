@@ -1,4 +1,4 @@
-r"""A threshold or prestress that varies along the interface, from the lengths of precursors that stop at different places.
+r"""Threshold or prestress along the interface, from lengths of precursors.
 
 Under the hard rule a front that stops at ℓ measures one threshold, θ(ℓ)/θ_0 = t(ℓ), or one weighted mean of the prestress
 (docs/fit/profile.md); `slippulse_jax.inference.heterogeneous` follows the fronts.
@@ -29,8 +29,9 @@ from scipy.special import chdtrc, ndtr
 
 from slippulse_jax.domains import check_choice, check_domain, check_whole
 from slippulse_jax.files import plain
+from slippulse_jax.inference.check import check_used
 from slippulse_jax.inference.heterogeneous import Linearised, ProfileKind, ProfileProblem, followed, profile_problem
-from slippulse_jax.inference.measurements import Measurements, check_used
+from slippulse_jax.inference.measurements import Measurements
 from slippulse_jax.shown import plural
 
 _AMPLITUDES = {"threshold": np.geomspace(0.005, 0.3, 6), "prestress": np.geomspace(0.005, 0.2, 6)}
@@ -47,7 +48,7 @@ ORDER = 0.5  # errors of a measured length by which the order of the breaks may 
 
 
 class Determination(enum.Enum):
-    """How much of the profile the lengths determine; the value is the sentence of the report."""
+    """How much of the profile the lengths determine, in a sentence."""
 
     DETERMINED = "determined between the first and the last arrest"
     PARTLY = "determined in places only"
@@ -95,11 +96,11 @@ class RecoveredProfile:
 
     @property
     def degrees(self) -> float:
-        """Count the numbers that the lengths rather than the prior determine: the trace of the resolution."""
+        """Count the numbers that the lengths determine: trace of the resolution."""
         return float(np.trace(self.resolution))
 
     def interval(self, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper ends of the interval at each knot, in the unit of the profile; both of shape (k,).
+        """Ends of the interval at each knot, both of shape (k,).
 
         They are quantiles of the mixture over `settings`, which is no Gaussian.
         """
@@ -107,7 +108,7 @@ class RecoveredProfile:
         return (np.exp(low), np.exp(high)) if self.kind == "threshold" else (low, high)
 
     def at(self, x: ArrayLike) -> np.ndarray:
-        """Evaluate the profile at positions x in λc; it is constant beyond the last knot."""
+        """Evaluate the profile at x in λc, constant beyond the knots."""
         return np.interp(np.asarray(x, dtype=np.float64), self.position, self.profile)
 
     @property
@@ -117,7 +118,7 @@ class RecoveredProfile:
 
     @property
     def stretches(self) -> list[tuple[float, float]]:
-        """Ends, in λc, of each stretch of the interface that the lengths determine."""
+        """Ends, in λc, of the stretches that the lengths determine."""
         inside = np.concatenate([[False], self.determined, [False]])
         edges = np.flatnonzero(inside[1:] != inside[:-1])
         return [(float(self.position[a]), float(self.position[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
@@ -185,7 +186,7 @@ class RecoveredProfile:
         return f"RecoveredProfile({self.kind}, {self.determination.name}: {self.degrees:.1f} numbers; report() says more)"
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain Python values, ready for JSON; numbers that are not finite are None."""
+        """Plain Python values, ready for JSON; None where not finite."""
         names = ("degrees", "chi2", "prior_misfit", "log_stiffness_shift", "agreement")
         names += ("position", "profile", "stderr", "prior_stderr", "fitted", "settings")
         return plain(
@@ -305,7 +306,10 @@ def recover_profile(
 
 
 def _simulated(problem: ProfileProblem, found: "Posterior", u: np.ndarray) -> tuple[np.recarray, float]:
-    """Follow the events on the profile `u`; compare lengths simulated on draws from the posterior with the straight lines."""
+    """Follow the events on the profile `u` and on posterior draws.
+
+    Return how they nucleate, and how far simulated lengths agree with the straight lines.
+    """
     ruptured, contact = followed(*problem.lanes(u), next_break="most overloaded")
     draws = found.draws()
     those = [followed(*problem.lanes(part), next_break="neighbour") for part in np.split(draws, PARTS)]
@@ -336,7 +340,10 @@ def _judge(
     ruptured: np.ndarray,
     agreement: float,
 ) -> Determination:
-    """Say how much the lengths determine: `determined` are those knots `between` the arrests whose error is small enough."""
+    """Judge how much the lengths determine.
+
+    `determined` are those knots `between` the arrests whose error is small enough.
+    """
     if not found.converged:
         return Determination.NOT_CONVERGED
     knots, measured, chi2 = problem.knots, problem.measured, problem.chi2(fitted)
@@ -360,7 +367,7 @@ def _judge(
 
 
 class Posterior(NamedTuple):
-    """Posterior of u under each of h settings of the prior, the lengths linearised where the search ended."""
+    """Posterior of u under each of h settings of the prior."""
 
     weight: np.ndarray  # (h,) probability of each setting
     mean: np.ndarray  # (h, k + 1)
@@ -388,9 +395,10 @@ class Posterior(NamedTuple):
 def squared_exponential(
     position: Float[np.ndarray, " k"], amplitude: float, length_scale: float, *, level: float = 0.0, pinned: bool = False
 ) -> Float[np.ndarray, "k k"]:
-    """Covariance s² exp[−(x − x')²/2L²] of a smooth function at positions x in λc; s is its amplitude, L its length scale.
+    """Covariance s² exp[−(x − x')²/2L²] of a smooth function.
 
-    `level` is the standard deviation of an unknown constant added to it; a `pinned` function is known at the first position.
+    x are positions in λc, s is its amplitude, L its length scale. `level` is the standard deviation of an unknown constant
+    added to it; a `pinned` function is known at the first position.
     """
     apart = (position[:, None] - position[None, :]) / length_scale
     kernel = amplitude**2 * np.exp(-(apart**2) / 2) + level**2
@@ -405,9 +413,10 @@ def condition(
     noise: Float[np.ndarray, " n"],
     prior: Float[np.ndarray, "k k"],
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"], Float[np.ndarray, "k k"], float]:
-    """Posterior of u − m given z = G (u − m) + noise: c, whose mean is K c, covariance, resolution and ln evidence.
+    """Posterior of u − m given linear data z.
 
-    G is the `design`, K the covariance of the `prior`, and `noise` the standard errors of z.
+    z = G (u − m) + noise. Returns c, of which K c is the mean, covariance, resolution and ln evidence. G is the `design`, K the
+    covariance of the `prior`, and `noise` the standard errors of z.
     """
     gain = prior @ design.T
     factor = np.linalg.cholesky(design @ gain + np.diag(noise**2))
@@ -440,10 +449,10 @@ def quantile(
 
 
 def invert(problem: ProfileProblem, middle: np.ndarray, priors: np.ndarray, amplitude: np.ndarray, max_steps: int) -> Posterior:
-    """Fit with the setting of most evidence, weight all settings where the search ended, and repeat until it stays.
+    """Fit with the setting of most evidence until it stays.
 
-    The priors have the mean `middle`, shape (k + 1,), and the covariances `priors`, shape (h, k + 1, k + 1), one for each
-    setting; `amplitude` are the amplitudes of the settings.
+    All settings are weighted where each search ended. The priors have the mean `middle`, shape (k + 1,), and the covariances
+    `priors`, shape (h, k + 1, k + 1), one for each setting; `amplitude` are the amplitudes of the settings.
     """
     weight = np.full(len(priors), 1 / len(priors))
     best, total, tried = len(priors) // 2, 0, set()
@@ -471,9 +480,9 @@ def invert(problem: ProfileProblem, middle: np.ndarray, priors: np.ndarray, ampl
 def _descend(
     problem: ProfileProblem, middle: np.ndarray, prior: np.ndarray, max_steps: int
 ) -> tuple[np.ndarray, Linearised, int, bool]:
-    """Minimise χ² + (u − m)ᵀK⁻¹(u − m) over c, where u − m = K c, by Gauss–Newton steps cut until they descend.
+    """Minimise χ² + (u − m)ᵀK⁻¹(u − m) by descending Gauss–Newton steps.
 
-    Returns c, the model there, the number of steps, and whether the search arrived.
+    u − m = K c. Returns c, the model there, the number of steps, and whether the search arrived.
     """
 
     def tried(c: np.ndarray) -> tuple[float, np.ndarray, Linearised]:
@@ -502,7 +511,7 @@ def _descend(
 
 
 def _by_excess(problem: ProfileProblem, middle: np.ndarray, prior: np.ndarray, steps: int = 6) -> np.ndarray:
-    """Start of a search: c for which the stress equals the threshold at the measured arrests."""
+    """Start of a search: stress equals threshold at the measured arrests."""
     c = np.zeros(len(middle))
     for _ in range(steps):
         model = problem.linearised(middle + prior @ c)

@@ -13,7 +13,7 @@ from scipy.special import ndtr
 
 from slippulse_jax.block import USUAL_NORMAL_STIFFNESS
 from slippulse_jax.inference.changes import END, MANY, MOST_CONTACTS, NARROW_PUSHER, NORMAL, Change, of_inputs
-from slippulse_jax.inference.columns import COLUMNS, READINGS
+from slippulse_jax.inference.columns import COLUMNS, READINGS, UNITS_OF_LENGTH
 from slippulse_jax.inference.fronts import ENDED
 from slippulse_jax.inference.intervals import LEVELS, Interval
 from slippulse_jax.inference.likelihood import IMPROBABLE
@@ -30,7 +30,6 @@ from slippulse_jax.inference.verdict import (
 )
 from slippulse_jax.shown import TIED, ends, format_number, html, interval, listed, plural, value_with_error
 from slippulse_jax.theory import length_ceiling, rebreaking_b
-from slippulse_jax.units import UNITS_OF_LENGTH
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult

@@ -1,12 +1,14 @@
-"""Read tables of measurements and of gauges from CSV files; docs/reference/columns.md has their columns and form."""
+"""Read CSV files and DataFrames into columns of numbers and texts.
+
+What cannot be read is refused by line and column. docs/reference/columns.md has the form of a table, of which
+`slippulse_jax.inference.measurements` makes measurements.
+"""
 
 import csv
 import math
 import os
 import re
-from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
 from itertools import chain, islice
 from typing import Any, NamedTuple
 from unicodedata import category
@@ -17,18 +19,14 @@ import numpy as np
 from slippulse_jax.files import read_whole
 from slippulse_jax.inference.columns import (
     COLUMNS,
-    GAUGE_COLUMNS,
     IN_LC,
     KNOWN,
     NUMBER,
     MeasurementError,
     Named,
-    check,
-    named,
-    named_of_gauges,
+    check_rows,
     with_units,
 )
-from slippulse_jax.inference.measurements import Gauges, Measurements
 
 LARGEST = 16 * 2**20
 """Bytes of the largest table that is read: some 300 000 measurements."""
@@ -44,71 +42,23 @@ class Table(NamedTuple):
     commas: bool = False  # whether numbers may have decimal commas
 
 
-def read_measurements(path: str | os.PathLike[str], *, gauges: str | os.PathLike[str] | None = None) -> Measurements:
-    """Read a CSV file of measured first precursors.
-
-    The page "Columns of a table" of the documentation (docs/reference/columns.md) lists its columns.
-
-    Parameters
-    ----------
-    path : path
-        UTF-8 text; comma, semicolon or tab between the columns.
-    gauges : path, optional
-        A second file: readings along the interface after arrest (`read_gauges`).
-
-    Returns
-    -------
-    Measurements
-
-    Raises
-    ------
-    OSError
-        If there is no such file, or it cannot be opened.
-    MeasurementError
-        If a column is missing or there twice, or a value is missing, not a number, or outside its domain: the message names
-        file, line and column.
-    """
-    name = os.fspath(path)
-    lengths = _measurements(rows(read_text(path), name))
-    return lengths if gauges is None else replace(lengths, gauges=read_gauges(gauges, lengths.label))
-
-
-def from_dataframe(table: Any, name: str = "table") -> Measurements:
-    """Read a pandas.DataFrame, as `Measurements.from_dataframe` describes."""
+def of_dataframe(table: Any) -> Table:
+    """Cells of a pandas.DataFrame."""
     if not (hasattr(table, "itertuples") and hasattr(table, "columns")):
         makes = "series.to_frame().T" if hasattr(table, "to_frame") else "pandas.DataFrame(…)" * isinstance(table, Mapping)
         hint = f": {makes} makes one of it" * bool(makes)
-        raise TypeError(f"{name} is {type(table).__name__}: must be a pandas.DataFrame{hint}")
+        raise TypeError(f"table is {type(table).__name__}: must be a pandas.DataFrame{hint}")
     header = (0, [str(column) for column in table.columns])
     blank = iter(table.isna().to_numpy().ravel())
     cells = (
         ["" if next(blank) else repr(float(x)) if isinstance(x, float | np.floating) else str(x) for x in row]
         for row in table.itertuples(index=False, name=None)
     )
-    return _measurements(Table(chain([header], zip(map(str, table.index), cells, strict=True)), name, [], "row"))
+    return Table(chain([header], zip(map(str, table.index), cells, strict=True)), "table", [], "row")
 
 
-def measurements_of(given: Any) -> Measurements:
-    """Return measurements as they are, or read them from a DataFrame or a CSV file."""
-    if isinstance(given, Measurements):
-        return given
-    if isinstance(given, str | os.PathLike):
-        return read_measurements(given)
-    if hasattr(given, "itertuples") and hasattr(given, "columns"):
-        return from_dataframe(given)
-    raise TypeError(f"measurements is {type(given).__name__}: must be Measurements, pandas.DataFrame or the path of a CSV file")
-
-
-def _measurements(table: Table) -> Measurements:
-    """Measurements of rows of text."""
-    found = _read(table, named)
-    if "block_width" in found:
-        found["machine_stiffness"] = found["machine_stiffness"] / found.pop("block_width")
-    return Measurements(**found)
-
-
-def _read(table: Table, find: Callable[[list[str], str], Named]) -> dict[str, Any]:
-    """Read rows of text into arguments of `Measurements`."""
+def read(table: Table, find: Callable[[list[str], str], Named]) -> dict[str, Any]:
+    """Read a table into arguments of `Measurements` or `Gauges`."""
     known, numbers, cells = _columns(table, find)
 
     def place(i: int) -> str:
@@ -123,17 +73,19 @@ def _read(table: Table, find: Callable[[list[str], str], Named]) -> dict[str, An
         for own, (column, _) in known.items()
         if column.choices is not None
     }
-    check(texts, place)
+    check_rows(texts, place)
     kind = texts.get("kind", ["length"] * len(numbers))
     values = _numbers(cells, {own: known[own] for own in of_numbers.values()}, place, kind)
-    check({**values, "kind": kind}, place, of_numbers, cells)
+    check_rows({**values, "kind": kind}, place, of_numbers, cells)
     other = {own: column for own, column in cells.items() if own not in known}
+    if "block_width" in values:
+        values["machine_stiffness"] = values["machine_stiffness"] / values.pop("block_width")
     found = {**values, **texts, f"{table.counted}s": numbers, "source": table.name, "other": other, "columns": of_numbers}
     return {**found, "skipped": tuple(table.skipped)}
 
 
 def _columns(table: Table, find: Callable[[list[str], str], Named]) -> tuple[Named, list[Any], dict[str, list[str]]]:
-    """Find the columns; return those that are known, the number of each row, and the cells of all."""
+    """Find the known columns, the numbers of the rows, and all cells."""
     name, counted = table.name, table.counted
     first, header = next(table.rows, (1, []))
     if len(header) < 2:
@@ -168,7 +120,7 @@ def _columns(table: Table, find: Callable[[list[str], str], Named]) -> tuple[Nam
 def _numbers(
     cells: Mapping[str, list[str]], known: Named, place: Callable[[int], str], kind: Sequence[str]
 ) -> dict[str, np.ndarray]:
-    """Convert columns of numbers, by quantity, to λc, m, Pa and N/m; NaN where a cell may be blank and is."""
+    """Convert numbers to λc, m, Pa and N/m, blanks to NaN."""
     raw: dict[str, list[float]] = {own: [] for own in known}
     for i in range(len(kind)):
         for own, (column, _) in known.items():
@@ -198,36 +150,6 @@ def _numbers(
     return found
 
 
-def read_gauges(path: str | os.PathLike[str], labels: Sequence[str]) -> Gauges:
-    """Read a CSV file of gauges, one reading per line.
-
-    The columns are ``label`` (of the precursor, as in the table of lengths), ``position_mm`` from the pushed edge, and
-    ``slip_um`` with ``slip_sigma_um``, or ``stress_MPa`` with ``stress_sigma_MPa``, or both; blank where one was not measured.
-    Lines are skipped as in the table of lengths.
-
-    Parameters
-    ----------
-    path : path
-    labels : sequence of str
-        Labels of the measured precursors.
-
-    Raises
-    ------
-    MeasurementError
-        Naming file, line and column.
-    """
-    name = os.fspath(path)
-    found = _read(rows(read_text(path), name), named_of_gauges)
-    count, row = Counter(labels), {label: row for row, label in enumerate(labels)}
-    for line, label in zip(found["lines"], found["label"], strict=True):
-        if count[label] != 1:
-            many = f"{count[label]} measurements have" if count[label] else "no measurement has"
-            where = f"{name}, line {line}, column label"
-            raise MeasurementError(f"{where}: {many} the label {label!r}; each needs its own, in a column label")
-    read = {column: found[column] for column in GAUGE_COLUMNS if column in found}
-    return Gauges([row[label] for label in found["label"]], **read, lines=found["lines"], source=name, skipped=found["skipped"])
-
-
 def read_text(path: str | os.PathLike[str]) -> str:
     """Read a file of UTF-8 text of at most `LARGEST` bytes."""
     name = os.fspath(path)
@@ -246,8 +168,9 @@ def read_text(path: str | os.PathLike[str]) -> str:
     return text.lstrip("\ufeff\u200b")
 
 
-def rows(text: str, name: str) -> Table:
-    """Find the header, and the lines below it that are neither blank nor comments."""
+def of_file(path: str | os.PathLike[str]) -> Table:
+    """Find the header of a file and the lines of data below it."""
+    name, text = os.fspath(path), read_text(path)
     given = _SEPARATOR.match(text)
     separator = (given[1] or "\t") if given else ""
 
@@ -277,7 +200,7 @@ def rows(text: str, name: str) -> Table:
 
 
 def _below(text: str, name: str, first: int, delimiter: str, skipped: list[int]) -> Iterator[tuple[int, list[str]]]:
-    """Yield the header, which is in line `first`, and the rows below it; add the lines of comments to `skipped`."""
+    """Yield the header in line `first` and rows below; note `skipped` lines."""
     header: list[str] = []
     for line, cells, _, lines in _records(text, name, lambda _: delimiter, first):
         width, count = len(header), len(cells)
@@ -299,9 +222,10 @@ def _below(text: str, name: str, first: int, delimiter: str, skipped: list[int])
 
 
 def _records(text: str, name: str, mark: Callable[[str], str], first: int = 0) -> Iterator[tuple[int, list[str], str, int]]:
-    """Yield line, cells, delimiter and number of lines of what is not blank from line `first` on, a quoted cell whole.
+    """Yield line, cells, delimiter and number of lines of every record.
 
-    Where that is 0, before the header is known, a comment ends with its line.
+    From line `first` on, without blank ones, a quoted cell whole; where that is 0, before the header is known, a comment ends
+    with its line.
     """
     line = max(first, 1)
     lines = islice(_lines(text), line - 1, None)
@@ -322,7 +246,7 @@ def _records(text: str, name: str, mark: Callable[[str], str], first: int = 0) -
 
 
 def _lines(text: str) -> Iterator[str]:
-    """Lines with their ends; a carriage return ends one only where no other sign does."""
+    """Lines with their ends: carriage returns where there are no others."""
     end = "\n" if "\n" in text else "\r"
     return (found[0] for found in re.finditer(f"[^{end}]*{end}|[^{end}]+", text))
 
@@ -349,13 +273,13 @@ def _missing(cell: str) -> bool:
 
 
 def _uncommented(name: str) -> str:
-    """Name of a first column behind the mark of a comment, if it is one that is known."""
+    """A known name of a first column without a comment's mark."""
     bare = name.lstrip("#%!;/ ")
     return bare if bare in KNOWN else name
 
 
 def _write_points(cells: dict[str, list[str]], of_numbers: Collection[str], numbers: Sequence[Any], name: str) -> None:
-    """Write points for decimal commas; refuse a table with both, where 1,234 may be a thousand."""
+    """Write points for decimal commas; refuse a table with both."""
     first = {}
     for own in of_numbers:
         for line, cell in zip(numbers, cells[own], strict=True):
@@ -369,7 +293,7 @@ def _write_points(cells: dict[str, list[str]], of_numbers: Collection[str], numb
 
 
 def _advice(text: str, own: str, quantity: str) -> str:
-    """What to write for a cell that is no number, in the column `own`."""
+    """What to write instead of a cell that is no number."""
     plain, beside = text.translate(_MINUS), f"{quantity}_sigma"
     words = not any(map(str.isnumeric, text))
     strange = re.search(r"[^\d.eE+\s-]", plain, re.ASCII) or re.search(r"\s", plain)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slippulse_jax.inference.design import BIT, breaks_again, lengths_of
+from slippulse_jax.inference.design import BIT
 from slippulse_jax.plot.labels import AGAIN, axis_label
 from slippulse_jax.plot.style import PAGE, axes, colours, dashed_where, drawn, handles_of, legend_above, new_figure
 
@@ -56,8 +56,8 @@ def design_lengths(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
     c = colours(ax)
     known = found.knowledge.log_stiffness
     theta = np.linspace(known[0], known[-1], 400)  # the samples may form two distant clusters
-    length = lengths_of(found.candidates, theta, found.knowledge.event)
-    again = breaks_again(found.candidates, theta, found.knowledge.event)
+    length = found.lengths(theta)
+    again = found.breaks_again(theta)
     shown = found.ranking[: len(c.data)]
     top, low = 0.0, np.inf
     for i, color in zip(shown, c.data, strict=False):

@@ -17,6 +17,7 @@ from slippulse_jax.blocks import size
 from slippulse_jax.cli import main as cli
 from slippulse_jax.exact import front as exact_front
 from slippulse_jax.files import plain
+from slippulse_jax.inference.columns import COLUMNS, OF_GAUGES
 from slippulse_jax.status import Outcome
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -62,9 +63,12 @@ def test_help_and_version_do_not_import_jax():
     assert "fit" in done.stdout
     assert "length" in done.stdout
     for command in ("length", "fit"):
-        done = slippulse(command, "--help")
-        assert done.returncode == 0
+        loaded = code.replace("'--help'", f"'{command}', '--help'").replace(" and 'numpy' not in sys.modules", "")
+        done = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, cwd=ROOT)
+        assert done.returncode == 0, done.stderr
         assert "--json" in done.stdout
+    for column in [*COLUMNS.values(), *OF_GAUGES.values()]:
+        assert f"  {column.name(in_si=True)}  " in done.stdout
 
 
 def test_length(in_this_process):

@@ -173,7 +173,7 @@ def test_plateau_without_domino_is_never_called_converged(monkeypatch):
     m = Measurements(height=[5.0], poisson=0.3, length=3.0, length_sigma=0.1)
     with pytest.raises(ValueError, match="no domino starts at k/K from 1e-09 to 0.0001; expected within"):
         fit(m, bounds=(1e-9, 1e-4))
-    monkeypatch.setattr("slippulse_jax.inference.parameters._check_reached", lambda *_: None)
+    monkeypatch.setattr("slippulse_jax.inference.check._check_reached", lambda *_: None)
     result = fit(m, bounds=(1e-9, 1e-4))
     assert result.roots == []
     assert result.stderrs["stiffness"] is None

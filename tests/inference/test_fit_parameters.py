@@ -17,6 +17,7 @@ from slopes import slopes_of
 
 import slippulse_jax as sp
 from slippulse_jax import Measurements, Parameter, fit, read_measurements
+from slippulse_jax.inference.check import checked
 from slippulse_jax.inference.fit import wanted_parameters
 from slippulse_jax.inference.fronts import FirstFront
 from slippulse_jax.inference.inputs import Inputs
@@ -668,4 +669,4 @@ def test_a_held_value_outside_the_domain_is_named(held, message):
     if "young" in held:
         m, free = dataclasses.replace(m, correlation_length=np.full(2, 1e-5), young=np.full(2, 3e8)), "prestress"
     with pytest.raises(ValueError, match=message):
-        parameter_set(m, [free, *(Parameter(name, value=value) for name, value in held.items())])
+        checked(m, [free, *(Parameter(name, value=value) for name, value in held.items())])

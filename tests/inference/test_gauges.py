@@ -19,11 +19,10 @@ from slippulse_jax.front.front import readings
 from slippulse_jax.inference.fronts import FirstFront
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.likelihood import log_density, make_problem
-from slippulse_jax.inference.measurements import MeasurementError
+from slippulse_jax.inference.measurements import MeasurementError, read_measurements
 from slippulse_jax.inference.minimise import minimise
 from slippulse_jax.inference.observables import predicted
 from slippulse_jax.inference.parameters import parameter_set
-from slippulse_jax.inference.tables import read_measurements
 from slippulse_jax.inference.verdict import Identifiability
 
 LC, YOUNG, STRENGTH, AREAL = 1e-4, 3e9, 2e6, 6e11

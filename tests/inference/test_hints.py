@@ -10,8 +10,11 @@ from reports import unfolded
 
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
-from slippulse_jax.inference.measurements import MeasurementError, Measurements, MeasurementWarning, likely_mistakes
-from slippulse_jax.inference.parameters import Parameter, mistaken_priors
+from slippulse_jax.domains import Domain
+from slippulse_jax.inference.check import suspicions
+from slippulse_jax.inference.columns import COLUMNS
+from slippulse_jax.inference.measurements import MeasurementError, Measurements, MeasurementWarning
+from slippulse_jax.inference.parameters import Parameter
 from slippulse_jax.inference.verdict import Identifiability
 
 HEIGHT = np.array([15.0, 25.0, 40.0, 60.0, 80.0, 100.0])
@@ -98,9 +101,9 @@ HEADER = "height_mm,correlation_length_um,poisson,young_GPa,length_mm,length_sig
         (HEADER, "0.025,10,0.3,3,14.03,0.5\n0.05,10,0.3,3,36.2,0.5", "is height_mm in m, or is length_mm in um?"),
         (HEADER, "0.025,10,0.3,3,14.03,0.5\n0.05,10,0.3,3,36.2,0.5", "times the longest attainable, 0.0[0-9]+ mm"),
         (HEADER, "25,10,0.3,3,0.01403,0.0005\n50,10,0.3,3,0.0362,0.0005", "is height_mm in um, or is length_mm in m?"),
-        (HEADER, "25,0.01,0.3,3,14.03,0.5", "10 nm is that of no rough interface: is correlation_length_um in mm?"),
-        (HEADER, "0.025,10,0.3,3,0.01403,0.0005", "every height is below 1 mm: is height_mm in m?"),
-        (HEADER, "25,10,0.3,3000,14.03,0.5", "3000 GPa is above diamond's: is young_GPa in MPa?"),
+        (HEADER, "25,0.01,0.3,3,14.03,0.5", "correlation_length_um = 0.01 is that of no rough interface: is it in mm?"),
+        (HEADER, "0.025,10,0.3,3,0.01403,0.0005", "height_mm = 0.025 is below 1 mm: is it in m?"),
+        (HEADER, "25,10,0.3,3000,14.03,0.5", "young_GPa = 3000 is above diamond's: is it in MPa?"),
         (HEADER.replace("height_mm", "height_cm"), "25,10,0.3,3,14.03,0.5\n50,10,0.3,3,4,0.5", None),
         (HEADER, "25,10,0.3,3,14.03,0.5\n50,10,0.3,3,36.2,0.5", None),
         (
@@ -126,9 +129,9 @@ def test_slips_are_named_before_the_fit(tmp_path, header, rows, hint):
 @pytest.mark.parametrize(
     ("row", "message"),
     [
-        ("0.025,1e-5,0.3,3e9,0.01403,5e-4", "correlation_length_um: 1e-5: .* 0.1 nm: is it in m?"),
-        ("25,10,0.3,3e9,14.03,0.5", "young_GPa: 3e9: .*diamond's: is it in Pa?"),
-        ("0.005,10,0.3,3,14.03,0.5", "is height_mm in m, or correlation_length_um in nm?"),
+        ("0.025,1e-5,0.3,3e9,0.01403,5e-4", "correlation_length_um: 1e-5: .* 0.1 nm: is correlation_length_um in m?"),
+        ("25,10,0.3,3e9,14.03,0.5", "young_GPa: 3e9: .*diamond's: is young_GPa in Pa?"),
+        ("0.005,10,0.3,3,14.03,0.5", "λc: is height_mm in m?"),
     ],
 )
 def test_slips_that_are_refused_are_named(tmp_path, row, message):
@@ -154,6 +157,36 @@ def test_a_slider_of_materials_is_checked_like_a_table(name, value, message):
     material = {"height": 0.02, "correlation_length": 1e-5, "areal_stiffness": 1e10, "poisson": 0.3, "young": 3e9}
     with pytest.raises(ValueError, match=message):
         sp.Slider.from_material(**(material | {name: value}))
+
+
+@pytest.mark.parametrize(
+    ("column", "name", "value", "unit"),
+    [
+        ("young", "young_GPa", 3e12, "MPa"),  # the next unit in which it is a likely one
+        ("young", "young_GPa", 3e18, "Pa"),
+        ("young", "young_MPa", 3e18, ""),
+        ("young", "young", 3e12, ""),  # in Pa there is none
+        ("correlation_length", "correlation_length_um", 1e-8, "mm"),
+        ("correlation_length", "correlation_length_um", 1e-11, "m"),
+        ("correlation_length", "correlation_length_um", 1e-6, "nm"),
+        ("height", "height_mm", 2.5e-5, "m"),
+        ("height", "height_mm", 5e-4, "m"),
+        ("friction", "friction", 30.0, "per cent"),
+        ("friction", "friction", 300.0, ""),
+    ],
+)
+def test_units_are_guessed_by_one_rule(column, name, value, unit):
+    one = COLUMNS[column]
+    likely = Domain(0, 1e-8, "") if unit == "nm" else None
+    assert one.likely_unit(value, name, likely) == unit
+
+
+def test_a_low_sample_is_no_suspicion_unless_a_unit_makes_it_a_usual_one(tmp_path):
+    low = sp.Measurements.from_si(height=[3e-4, 5e-4], correlation_length=1e-5, poisson=0.3, length=[3e-4, 4e-4])
+    assert suspicions(low, []) == ()
+    path = tmp_path / "low.csv"
+    path.write_text("height_mm,correlation_length_um,poisson,length_mm\n0.3,10,0.3,0.3\n50,10,0.3,40\n")
+    assert suspicions(sp.read_measurements(path), []) == ("height_mm = 0.3 is below 1 mm: is it in m?",)
 
 
 def test_a_prior_in_the_unit_of_the_table_is_named():
@@ -187,14 +220,14 @@ def test_numbers_in_another_unit_than_si_are_named(one, hint):
     table = sp.Measurements.from_si(
         height=[0.025, 0.05], correlation_length=1e-5, poisson=0.3, length=[0.014, 0.0362], young=3e9, push_height=0.005
     )
-    said = list(mistaken_priors(table, [Parameter("stiffness", bounds=(1e-4, 1)), one]))
+    said = suspicions(table, [Parameter("stiffness", bounds=(1e-4, 1)), one])
     assert len(said) == (hint is not None)
     assert hint is None or re.search(hint.replace("?", r"\?"), said[0])
 
 
 def test_without_a_correlation_length_heights_are_in_its_units():
     table = Measurements(height=[25.0, 50.0], poisson=0.3, length=[14.0, 36.0])
-    (said,) = mistaken_priors(table, [Parameter("height", prior=(0.025, 1e-3))])
+    (said,) = suspicions(table, [Parameter("height", prior=(0.025, 1e-3))])
     assert said == "height = 0.025 λc, where height says 25 λc: priors, bounds and held values are in λc"
 
 
@@ -227,4 +260,4 @@ def test_a_coefficient_of_friction_may_be_in_per_cent():
     push = {"push_height": [5.0], "normal_stiffness": 1.2}
     for friction, count in ((0.6, 0), (30.0, 1)):
         m = sp.Measurements(height=[25.0], poisson=0.3, length=[14.0], length_sigma=[0.5], friction=friction, **push)
-        assert sum("is friction in per cent?" in one for one in likely_mistakes(m)) == count
+        assert sum("friction = 30 is that of no dry contact: is it in per cent?" in one for one in suspicions(m, [])) == count

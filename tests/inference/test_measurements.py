@@ -4,6 +4,7 @@ import dataclasses
 import re
 from pathlib import Path
 
+import generate_pages
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,8 +12,7 @@ import pytest
 import slippulse_jax as sp
 from slippulse_jax import Measurements, fit, read_measurements
 from slippulse_jax.inference import columns
-from slippulse_jax.inference.measurements import Gauges, MeasurementError, MeasurementWarning
-from slippulse_jax.inference.tables import from_dataframe, measurements_of
+from slippulse_jax.inference.measurements import Gauges, MeasurementError, MeasurementWarning, measurements_of
 
 SI = "height_mm,correlation_length_um,poisson,length_mm,length_sigma_mm"
 PLAIN = "height,poisson,length,length_sigma"
@@ -203,10 +203,19 @@ def test_the_table_of_columns_is_that_of_the_fields_and_of_the_documentation():
         held = [field.name for field in dataclasses.fields(record) if "converter" in field.metadata]
         assert [name for name in held if name not in (*more, "lines", "rows")] == [*of_table]
         assert set(more) <= set(held)
-    page = Path(__file__).parents[2] / "docs" / "reference" / "columns.md"
-    documented = set(re.findall(r"`(\w+)`", page.read_text(encoding="utf-8")))
+    for name, text in generate_pages.TABLES.items():
+        assert text == (Path(__file__).parents[2] / "docs" / f"{name}.md").read_text(encoding="utf-8")
+    documented = set(re.findall(r"`(\w+)`", generate_pages.TABLES["tables/columns"]))
     assert {one.name(in_si) for one in columns.COLUMNS.values() for in_si in (True, False) if one.names(in_si)} <= documented
     assert set(re.findall(r"\w+", " ".join(one.needs for one in columns.COLUMNS.values()))) <= set(columns.COLUMNS)
+    for name, one in {**columns.COLUMNS, **columns.OF_GAUGES}.items():
+        assert name == "block_width" or f"{name} : " in f"{Measurements.__doc__}{Gauges.__doc__}"
+        assert set(re.findall(r"`(\w+)`", one.sentence)) <= {
+            *columns.COLUMNS,
+            *columns.OF_GAUGES,
+            *(one.choices or ()),
+            "at_least",
+        }
 
 
 def test_refuses_what_is_not_a_file(tmp_path):
@@ -269,7 +278,7 @@ def test_a_dataframe_and_a_path_are_measurements_too(tmp_path):
     path = write(tmp_path, f"{SI},kind,specimen\n50,10,0.3,20,0.5,,A\n75,10,0.3,30,,at_least,B\n")
     table = pd.read_csv(path)
     usual = read_measurements(path)
-    for found in (measurements_of(path), measurements_of(table), from_dataframe(table)):
+    for found in (measurements_of(path), measurements_of(table), Measurements.from_dataframe(table)):
         for name in ("height", "length", "length_sigma", "correlation_length", "kind", "specimen"):
             np.testing.assert_array_equal(getattr(found, name), getattr(usual, name))
     table.loc[1, "length_mm"] = np.nan
@@ -326,10 +335,11 @@ def test_what_is_no_dataframe_is_named():
     """With what makes one: of a single row it is not `pandas.DataFrame(row)`, which makes one column."""
     table = pd.DataFrame({"height": [20.0], "poisson": 0.3, "length": 14.0})
     with pytest.raises(TypeError, match=r"table is dict: must be a pandas.DataFrame: pandas.DataFrame\(…\) makes one of it$"):
-        from_dataframe(table.to_dict("list"))
+        Measurements.from_dataframe(table.to_dict("list"))
     row = table.iloc[0]
     with pytest.raises(TypeError, match=r"table is Series: must be a pandas.DataFrame: series.to_frame\(\).T makes one of it$"):
-        from_dataframe(row)
+        Measurements.from_dataframe(row)
+    from_dataframe = Measurements.from_dataframe
     assert from_dataframe(row.to_frame().T).length == from_dataframe(table).length
 
 

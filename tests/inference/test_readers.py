@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from slippulse_jax.cli import main as cli
 from slippulse_jax.cli import sweep as sweep_command
 from slippulse_jax.files import read_whole
-from slippulse_jax.inference import record, tables
+from slippulse_jax.inference import measurements, record, tables
 from slippulse_jax.inference.measurements import MeasurementError
 
 MOST = 40
@@ -74,8 +74,8 @@ def peak(read, path):
 @pytest.mark.parametrize(
     ("read", "texts"),
     [
-        (tables.read_measurements, TABLES),
-        (lambda path: tables.read_gauges(path, ["a"]), GAUGES),
+        (measurements.read_measurements, TABLES),
+        (lambda path: measurements.read_gauges(path, ["a"]), GAUGES),
         (lambda path: record.from_request(record.read_request(path)), REQUESTS),
     ],
     ids=["measurements", "gauges", "requests"],
@@ -99,8 +99,8 @@ def test_empty_lines_are_not_kept(tmp_path):
     """A table whose lines are blank takes the memory of its text, not that of a list of lines."""
     path = tmp_path / "t.csv"
     path.write_text(HEADER + "\n" * SIZE + "9,0.3,8,1\n")
-    assert peak(tables.read_measurements, path)[0] < 5 * SIZE
-    assert tables.read_measurements(path).lines == (SIZE + 2,)
+    assert peak(measurements.read_measurements, path)[0] < 5 * SIZE
+    assert measurements.read_measurements(path).lines == (SIZE + 2,)
 
 
 def test_files_beyond_a_stated_size_are_not_read(tmp_path, monkeypatch):
@@ -113,11 +113,11 @@ def test_files_beyond_a_stated_size_are_not_read(tmp_path, monkeypatch):
     assert len(read_whole(path, 2**20)) == 2**20
     monkeypatch.setattr(tables, "LARGEST", 2**20)
     monkeypatch.setattr(record, "LARGEST", 2**20)
-    held, message = peak(tables.read_measurements, "/dev/zero")
+    held, message = peak(measurements.read_measurements, "/dev/zero")
     assert message == "/dev/zero: larger than 1 MiB, the most that is read"
     assert held < 4 * 2**20
     with pytest.raises(MeasurementError, match="larger than 1 MiB"):
-        tables.read_gauges("/dev/zero", ["a"])
+        measurements.read_gauges("/dev/zero", ["a"])
     with pytest.raises(ValueError, match="/dev/zero: larger than 1 MiB"):
         record.read_request("/dev/zero")
 

@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.columns import COLUMNS
-from slippulse_jax.inference.measurements import MeasurementError
-from slippulse_jax.inference.tables import from_dataframe, read_gauges
+from slippulse_jax.inference.measurements import MeasurementError, read_gauges
 
 SI = "height_mm,correlation_length_um,poisson,young_GPa,length_mm,length_sigma_mm"
 BARE = "height,correlation_length,poisson,young,length,length_sigma"
@@ -155,7 +154,7 @@ def test_what_has_not_is_refused(tmp_path, cell, message):
     assert "\n" not in str(caught.value)
     table = pd.DataFrame({"height_mm": [25], "correlation_length_um": 10, "poisson": 0.3, "length_mm": [cell]})
     with pytest.raises(MeasurementError, match="^table, row 0, column length_mm: "):
-        from_dataframe(table)
+        sp.Measurements.from_dataframe(table)
 
 
 @pytest.mark.parametrize(
@@ -226,7 +225,7 @@ def test_every_unit_of_micrometres(tmp_path, micro):
     table = pd.DataFrame(
         {name: [sizes.get(name, 1e4)] for name in names if name[:5] not in ("block", "displ")} | {"poisson": 0.3}
     )
-    usual = from_dataframe(table.rename(columns=lambda name: f"{name}_um" * (name in names) or name))
+    usual = sp.Measurements.from_dataframe(table.rename(columns=lambda name: f"{name}_um" * (name in names) or name))
     table.rename(columns=lambda name: f"{name}_{micro}" * (name in names) or name).to_csv(tmp_path / "a.csv", index=False)
     units = pd.DataFrame({name: [f"[{micro}]" if name in names else "-"] for name in table})
     pd.concat([units, table.astype(object)]).to_csv(tmp_path / "b.csv", index=False)
@@ -330,7 +329,7 @@ def test_what_pandas_writes_is_read_back_whole(tmp_path_factory, data):
         found = sp.read_measurements(path)
     if found is None:
         return
-    usual = from_dataframe(table)
+    usual = sp.Measurements.from_dataframe(table)
     assert found.skipped == ()
     for name in ("height", "correlation_length", "poisson", "length", "length_sigma", "block_length", "kind"):
         np.testing.assert_array_equal(getattr(found, name), getattr(usual, name))

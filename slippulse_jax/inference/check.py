@@ -1,0 +1,270 @@
+"""Check a fit against its measurements before anything is computed.
+
+A request that has no meaning is an error. Numbers that may be in another unit, and columns that may be exchanged, are
+suspicions. A table checks its own rows (`slippulse_jax.inference.columns`), a model what it takes (`Front.check`).
+"""
+
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+
+from slippulse_jax.domains import Domain
+from slippulse_jax.inference.choices import Body, MeasuredEvent
+from slippulse_jax.inference.columns import COLUMNS, IN_LC, NUMERIC, MeasurementError
+from slippulse_jax.inference.fronts import STIFFEST, WholeEvent, front_for, front_of
+from slippulse_jax.inference.inputs import COMMON, Inputs
+from slippulse_jax.inference.measurements import Measurements, MeasurementWarning
+from slippulse_jax.inference.parameters import (
+    HEIGHTS,
+    NEEDS_SI,
+    PARAMETERS,
+    STIFFNESSES,
+    Linear,
+    Parameter,
+    ParameterSet,
+    default_bounds,
+    parameter_set,
+    ratio_per_unit,
+    stated,
+    stated_errors,
+    stiffness_name,
+    with_names,
+)
+
+USUAL = 1.5
+"""Factor within which a prior must agree with the table, in another unit, for that unit to be suggested."""
+FAR = 50.0
+"""Factor between a parameter and the value in the table above which a unit is suspected: m and cm are 100 apart."""
+LIKELY = Domain(0.02, 1.2, "")
+"""Usual range of the length over the height."""
+SUSPECT = (0.01, 1.5)
+"""Range of the length over the height outside which a unit is suspected."""
+LENGTHENED = 5.0
+"""Factor on the upper end of `SUSPECT` where something may lengthen fronts."""
+
+
+def checked(
+    m: Measurements,
+    wanted: Iterable[str | Parameter],
+    event: MeasuredEvent | None = None,
+    body: Body | None = None,
+) -> ParameterSet:
+    """Check the parameters of a fit, and map them to inputs.
+
+    A ValueError if one is given twice, has no meaning for these measurements, is needed and missing, or its limits leave the
+    domain of the model, or the range in which a domino starts.
+    """
+    front, wanted = front_of(m, event, body), [Parameter(one) if isinstance(one, str) else one for one in wanted]
+    chosen = with_names(m, wanted)
+    for one in chosen:
+        _check_meaning(m, one, [other.name for other in chosen])
+    _check_complete(m, chosen)
+    front.check(m, {one.name for one in chosen})
+    for name in {one.name for one in chosen} & stated_errors(m, front).keys():
+        error = "the measurements state its error: give it a prior there, or leave it out here"
+        raise ValueError(f"{name} is to be fitted, and {error}")
+    q = parameter_set(m, wanted, front=front)
+    _check_domain(m, q)
+    _check_reached(m, q)
+    return q
+
+
+# --- what is asked for --------------------------------------------------------------------------------------------------
+
+
+def _check_meaning(m: Measurements, one: Parameter, names: Sequence[str]) -> None:
+    """Check that a parameter has a meaning for these measurements."""
+    stiffness = stiffness_name(m)
+    if names.count(one.name) > 1:
+        raise ValueError(f"parameter {one.name} is given {names.count(one.name)} times")
+    if one.name == "push_height" and m.push_height is None:
+        raise ValueError("parameter push_height: the measurements state no push_height to start from")
+    if one.name == "arrest":
+        raise ValueError("parameter arrest: it is fitted wherever gauges were read; do not name it")
+    if one.name in STIFFNESSES and one.name != stiffness:
+        raise ValueError(f"parameter {one.name}: these measurements determine {stiffness}")
+    if one.name in NEEDS_SI and not m.in_si:
+        raise ValueError(f"parameter {one.name}: needs measurements in SI, with their correlation length")
+    if one.name == "young" and m.young is None:
+        raise ValueError("parameter young: the measurements state no young_GPa to start from")
+    if one.each == "specimen" and not m.specimen:
+        raise ValueError(f"parameter {one.name}: each = 'specimen', but the measurements name no specimens")
+    if one.name == "model_factor" and one.prior is None and one.value is None:
+        raise ValueError(
+            "parameter model_factor: needs a prior, as (1, 0.05): the lengths alone cannot separate it from stiffness"
+        )
+
+
+def _check_complete(m: Measurements, chosen: Sequence[Parameter]) -> None:
+    """Check that what the measurements need is fitted or held."""
+    stiffness, names = stiffness_name(m), [one.name for one in chosen]
+    if stiffness not in names:
+        option = m.option(f"--free stiffness, or --fix {stiffness}=VALUE", f"fixed={{{stiffness!r}: …}}, or free with it")
+        raise ValueError(f"{stiffness} is neither fitted nor held: name it: {option}")
+    if "strength" not in names and (carrier := _carries_strength(m)):
+        asked = ["stiffness" if one.name == stiffness else one.name for one in chosen if one.value is None and not one.nuisance]
+        both = dict.fromkeys([*asked, "strength"])
+        option = m.option(" ".join(f"--free {name}" for name in both), f"free={[*both]}".replace("'", '"'))
+        raise ValueError(f"{carrier} scales with σ_s: fit strength too, or hold it at its value in Pa: {option}")
+    if all(one.value is not None for one in chosen):
+        raise ValueError("nothing is fitted: every parameter is held")
+
+
+def _carries_strength(m: Measurements) -> str:
+    """Name the columns that scale with σ_s; empty without any."""
+    names = [name for name in ("displacement", "force") if getattr(m, name) is not None and np.isfinite(m.or_zero(name)).any()]
+    if names:
+        return f"{m.source}, column {' and '.join(map(m.heading, names))}: what it states"
+    return f"{m.gauges.source}: what gauges read" if m.gauges is not None else ""
+
+
+# --- the range that is searched -----------------------------------------------------------------------------------------
+
+
+def _check_domain(m: Measurements, q: ParameterSet) -> None:
+    """Check that no limit leads outside the domain of the model."""
+    every = {**COMMON, **q.front.inputs}
+    for name in q.inputs.names:
+        linear, (symbol, low, high, requirement) = q.inputs.get(name), every[name][:4]
+        reach = [float(end) for end in (_reach(q, linear)[0].min(), _reach(q, linear)[1].max())]
+        if low - 1e-9 <= reach[0] and reach[1] <= high + 1e-9:
+            continue
+        if mistaken := "; ".join(_far_from_the_table(m, [one for one in q.wanted if name in PARAMETERS[one.name].acts])):
+            raise ValueError(mistaken)
+        shown = [np.exp(x) if name.startswith("log") else x for x in reach]
+        moving = " and ".join(one.label for one, by in zip(q.free, linear.slope.any(axis=0), strict=True) if by)
+        held = " and ".join(f"{one} = {x:g}" for one, x in q.held.items() if name in PARAMETERS[one].acts)
+        searched = f"the range searched for {moving}" + f" with {held}" * bool(held) if moving else held
+        raise ValueError(
+            f"{searched} means {symbol} {_span(*shown)} for some measurement: {requirement}; give "
+            + ("other bounds or another prior" if moving else "another value")
+        )
+
+
+def _check_reached(m: Measurements, q: ParameterSet) -> None:
+    """Refuse a range of stiffness in which no domino starts.
+
+    It is probably in another unit: no measurement is of more than the contact at the edge, whatever the other parameters.
+    """
+    name = stiffness_name(m)
+    one = next(one for one in q.wanted if one.name in ("stiffness", name))
+    key = next((key for key in ("bounds", "prior", "value") if getattr(one, key) is not None), None)
+    if key is None or m.length.min() <= 1:
+        return
+    reach = {each: _reach(q, q.inputs.get(each)) for each in q.inputs.names}
+    easiest = {each: ends[each not in ("threshold_slope", "friction", "log_machine")] for each, ends in reach.items()}
+    low, high = reach["log_stiffness"]
+    softest = np.log(front_for("slider", "domino").softest(m))
+    some = np.flatnonzero(high > softest)
+    from_, to = np.maximum(low, softest)[some], high[some]
+    rows = Inputs.from_table([*easiest], np.stack([*easiest.values()], axis=-1)).take(some)
+    front = front_for("slider", "domino") if isinstance(q.front, WholeEvent) else q.front  # whose events start with it
+    for share in (0.5, 1.0, 0.0, *np.linspace(0, 1, 65)) if len(some) else ():
+        at = rows._replace(log_stiffness=from_ + share * (to - from_))
+        if (front.lengths(at) > 1).any():
+            return
+    lowest, highest = default_bounds(m, q.front, Parameter(name), np.ones(len(m), dtype=bool), 0.0)
+    lowest *= 1 if q.front.body == "block" else 100  # the default range of sliders begins where none starts
+    numbers, unit = np.atleast_1d(getattr(one, key)), PARAMETERS[name].unit[m.in_si]
+    shown = ", ".join(f"{x:g}" for x in numbers)
+    meant = f" (k/K = {numbers[0]:g} is {numbers[0] / ratio_per_unit(m).max():.2g} {unit})"
+    raise ValueError(
+        f"{key} = {f'({shown})' if key != 'value' else shown} of {name}{f', in {unit}' * m.in_si}: no domino starts at k/K "
+        f"{_span(np.exp(low.min()), np.exp(high.max()))}; expected within {lowest:.2g} to {highest:.2g} {unit}".rstrip()
+        + meant * bool(m.in_si and numbers[0] <= STIFFEST)
+    )
+
+
+def _span(low: float, high: float) -> str:
+    """Write a range, or a number: ``from 0.1 to 0.7``, ``= 3``."""
+    return f"from {low:.4g} to {high:.4g}" if low < high else f"= {low:.4g}"
+
+
+def _reach(q: ParameterSet, linear: Linear) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest number that each measurement gets from any θ searched."""
+    down, up = np.minimum(linear.slope, 0), np.maximum(linear.slope, 0)
+    return linear.base + up @ q.low + down @ q.high, linear.base + up @ q.high + down @ q.low
+
+
+# --- suspicions ---------------------------------------------------------------------------------------------------------
+
+
+def suspicions(m: Measurements, parameters: Iterable[Parameter]) -> tuple[str, ...]:
+    """Find columns that may be exchanged, and numbers in another unit.
+
+    `parameters` are those of the fit, requested or held.
+    """
+    wanted = list(parameters)
+    return (*_exchanged(m, wanted), *_unlikely(m), *_far_from_the_table(m, wanted))
+
+
+def _exchanged(m: Measurements, wanted: Sequence[Parameter]) -> Iterator[str]:
+    """Compare lengths and heights, which prestress, ends and machines may lengthen."""
+    prestressed = any(one.name == "prestress" for one in wanted) or m.or_zero("prestress").any()
+    lengthened = prestressed or m.machine_stiffness is not None or m.block_length is not None
+    over = float(np.median(m.length / m.height))
+    if SUSPECT[0] <= over <= SUSPECT[1] * (LENGTHENED if lengthened else 1):
+        return
+    height, length = m.heading("height"), m.heading("length")
+    may_be = [f"are {height} and {length} exchanged"] * bool(LIKELY.holds(1 / over))
+    for name, own, likely in (("height", height, Domain(over / 1.2, over / 0.02, "")), ("length", length, LIKELY)):
+        unit = COLUMNS[name].likely_unit(1.0 if name == "height" else over, own, likely) if m.in_si else ""
+        may_be += [f"is {own} in {unit}"] * bool(unit)
+    if may_be:
+        yield f"the lengths are about {over:.3g} times the heights: {', or '.join(may_be)}?"
+
+
+def _unlikely(m: Measurements) -> Iterator[str]:
+    """Find numbers that hardly any experiment has."""
+    for name in (name for name in NUMERIC if COLUMNS[name].likely is not None):
+        column, x = COLUMNS[name], getattr(m, name)
+        if x is None or (column.unit and not m.in_si) or column.likely is None:
+            continue
+        in_si = x * m.metres if name in IN_LC else x
+        off, own = in_si[~column.likely.holds(in_si)], m.heading(name)
+        unit = column.likely_unit(off[0], own) if off.size else ""
+        if off.size and (unit or name != "height"):  # a low sample may be what was meant
+            number = off[0] / column.names(in_si=True).get(own, 1.0)
+            yield f"{own} = {number:.4g} is {column.likely.requirement}" + f": is it in {unit}?" * bool(unit)
+
+
+def _far_from_the_table(m: Measurements, wanted: Iterable[Parameter]) -> Iterator[str]:
+    """Find priors, values and bounds far from what the table states."""
+    for one in wanted:
+        key = next((key for key in ("prior", "value", "bounds") if getattr(one, key) is not None), None)
+        table = stated(m, one.name)
+        if key is None or table is None or one.name not in (*HEIGHTS, "young", "correlation_length"):
+            continue
+        table = table[np.isfinite(table)]
+        if one.name in HEIGHTS and one.each is None:  # shown as that of the first
+            table = table[:1]
+        low, high = getattr(one, key) if key == "bounds" else np.repeat(getattr(one, key), 2)[:2]
+        if max(low / table.max(), table.min() / high) > FAR:
+            unit = PARAMETERS[one.name].unit[m.in_si]
+            likely = Domain(table[0] / USUAL * low / high, table[0] * USUAL, "")  # of the lower end
+            meant = COLUMNS[one.name].likely_unit(low, likely=likely) if m.in_si else ""
+            number = f"{low:g} to {high:g}" if key == "bounds" else f"{low:g}"
+            where = f"where {m.heading(one.name)} says {table[0]:.4g} {unit}"
+            asked = f"; is it in {meant}?" * bool(meant)
+            yield f"{one.name} = {number} {unit}, {where}: priors, bounds and held values are in {unit}{asked}"
+
+
+# --- other uses of measurements -----------------------------------------------------------------------------------------
+
+
+def check_used(m: Measurements, what: str, *, stacklevel: int = 4) -> None:
+    """Refuse ends and machines, for a caller that ignores them.
+
+    A warning names other columns that are not used: errors of inputs, errors that measured lengths share, and gauges would have
+    changed the errors of the result.
+    """
+    for name in ("block_length", "machine_stiffness"):
+        if getattr(m, name) is not None and np.isfinite(getattr(m, name)).any():
+            raise MeasurementError(f"{m.source}, column {name}: {what} takes blocks without end, whose edge is held")
+    errors = [one for one in COLUMNS if one.endswith("_sigma") and COLUMNS[one].value in PARAMETERS]
+    unused = [m.heading(name) for name in errors if getattr(m, name) is not None and np.any(getattr(m, name))]
+    unused += ["gauges"] * (m.gauges is not None) + ["what lengths of provenance measured share"] * ("measured" in m.provenance)
+    if unused:
+        text = f"{m.source}: {what} takes the inputs as exact and errors as independent, without {', '.join(unused)}"
+        warnings.warn(text, MeasurementWarning, stacklevel=stacklevel)
