@@ -192,6 +192,12 @@ def stability(slider: Slider, thresholds: ThresholdDistribution, *, points: int 
     return Stability(fall, bulk, edge, fall > -jnp.minimum(bulk, edge))
 
 
+@jax.custom_batching.sequential_vmap
+def _solve(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Solve equations; of many one set after another, because jaxlib's elimination of a batch can wait for ever."""
+    return jnp.linalg.solve(matrix, right)
+
+
 def edge_loads(chain: Chain, stretch: Float[AnyArrayLike, " L"]) -> Float[Array, " L"]:
     """Compute the load for each stretch of the first contact, in u_s; NaN where Newton's method did not converge.
 
@@ -210,7 +216,7 @@ def edge_loads(chain: Chain, stretch: Float[AnyArrayLike, " L"]) -> Float[Array,
 
     def step(carry: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
         free, stretch, _, count = carry
-        moved = -jnp.linalg.solve(jax.jacfwd(forces)(free, stretch), forces(free, stretch))
+        moved = -_solve(jax.jacfwd(forces)(free, stretch), forces(free, stretch))
         return free + moved, stretch, jnp.abs(moved).max(), count + 1
 
     def going(carry: tuple) -> Array:
