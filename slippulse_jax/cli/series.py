@@ -45,10 +45,7 @@ def command(
     spring: float | None, newborn: float | None, recovery: float | None, repin_delay: int,
     out: Path | None, figure: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
-    """Compute a series of precursors of one slider.
-
-    The catalogue of its events is written to stdout as CSV.
-    """
+    """Compute a series of precursors as a catalogue of events, in CSV."""
     _check(step, spring, newborn, recovery)
     if click.get_current_context().parent is not None:  # only in a process of slippulse itself
         from slippulse_jax.bulk.compiler import compile_loops_whole

@@ -80,10 +80,7 @@ CLAIMS: dict[str, Claim] = {}
 
 
 def examine(numbers: list[str] | None = None) -> Iterator[Result]:
-    """Measure claims, all by default, in double precision.
-
-    A ValueError if a number is not that of a claim.
-    """
+    """Measure claims in double precision; a ValueError for an unknown number."""
     for number in numbers or []:
         if number not in CLAIMS:
             raise ValueError(f"no claim {number!r}: must be one of {', '.join(CLAIMS)}")

@@ -33,23 +33,17 @@ Table = dict[str, np.ndarray]
 
 
 def fig2_fields() -> Table:
-    """Fig. 2 a, b: displacements in u_s and stress in σ_s.
-
-    Against x/λc, at nucleation, s = 13 and arrest s = 26.
-    """
+    """Fig. 2 a, b: displacements (u_s) and stress (σ_s) against x/λc."""
     x = np.arange(61)
     table: Table = {"x": x}
-    for s in (0, 13, 26):
+    for s in (0, 13, 26):  # nucleation, on the way, arrest
         for name, value in exact_fields(FIG2, s, x)._asdict().items():
             table[f"{name}_s{s}"] = np.asarray(value)
     return table
 
 
 def fig2_stress() -> Table:
-    """Fig. 2 c: stress at nucleation and at the passing front.
-
-    With their difference, in σ_s, against x/λc.
-    """
+    """Fig. 2 c: stress (σ_s) at nucleation and at the passing front."""
     x = np.arange(61)
     tip, before = np.asarray(exact_front_stress(FIG2, x)), np.asarray(exact_fields(FIG2, 0, x).stress)
     # at x = 0 their limit, contact 0 having broken
@@ -58,10 +52,7 @@ def fig2_stress() -> Table:
 
 
 def lengths(height: np.ndarray, stiffness: np.ndarray) -> Table:
-    """Λ/λc by every level of theory, and contacts broken.
-
-    Also where contact 0 breaks again. In finite chains the number of contacts is NaN where all break.
-    """
+    """Λ/λc by every level of theory, and contacts broken (NaN: all)."""
     slider = Slider(height, stiffness, POISSON)
     lattice = exact_lengths(slider)
     table = {

@@ -35,10 +35,7 @@ WIDEST = 1.2
 
 
 class Colours(NamedTuple):
-    """Six colours for data, in order of use, and three others.
-
-    `ink` is for text, `grey` for what is secondary, `paper` for the background.
-    """
+    """Six colours for data, in order of use, and three others."""
 
     blue: str
     vermilion: str
@@ -46,9 +43,9 @@ class Colours(NamedTuple):
     orange: str
     purple: str
     sky: str
-    grey: str
-    ink: str
-    paper: str
+    grey: str  # what is secondary
+    ink: str  # text
+    paper: str  # background
 
     @property
     def data(self) -> tuple[str, ...]:
@@ -118,10 +115,7 @@ def use(*, dark: bool = False, **changes: Any) -> Iterator[None]:
 
 
 def _in_force() -> Any:
-    """Apply the look, dark or light as the current settings.
-
-    Settings of the look are kept, changed or not.
-    """
+    """Apply the look, unless the settings are the look already."""
     import matplotlib as mpl
 
     data = mpl.rcParams["axes.prop_cycle"].by_key().get("color", [])
@@ -198,21 +192,15 @@ def handles_of(ax: Any, *, again: bool) -> list[Any]:
 
 
 def legend_above(ax: Any, handles: list[Any], *, most: int, **options: Any) -> None:
-    """Draw a small legend above the Axes.
-
-    It has as many columns, `most` at most, as do not press panels together.
-    """
+    """Draw a small legend above the Axes, in at most `most` columns."""
     look = ABOVE | {"handles": handles, "fontsize": "small", "alignment": "left"} | options
-    for columns in range(most, 0, -1):
+    for columns in range(most, 0, -1):  # as many as do not press panels together
         if ax.legend(**look, ncols=columns).get_window_extent().width < WIDEST * ax.get_window_extent().width:
             return
 
 
 def label_decades(axis: "Axis") -> None:
-    """Label up to five decades of a logarithmic axis.
-
-    An axis of fewer than two decades has labels at 2 and 5 times them too.
-    """
+    """Label decades of a logarithmic axis, or their parts if few."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     if axis.get_scale() != "log":
