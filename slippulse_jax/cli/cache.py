@@ -1,7 +1,7 @@
-"""Keep compiled programs in the user's cache folder between calls: small ones as JAX does, large ones whole.
+"""Keep compiled programs in the user's cache folder between calls.
 
-Only the command line does this, and by environment variables that JAX reads when it is imported later: importing the package
-changes no setting of JAX.
+Small ones are kept as JAX does, large ones whole. Only the command line does this, and by environment variables that JAX reads
+when it is imported later: importing the package changes no setting of JAX.
 """
 
 import hashlib
@@ -17,17 +17,18 @@ from contextlib import suppress
 from pathlib import Path
 
 KEPT_DAYS = 60
-"""Age at which a program is deleted: by then another release of JAX, or of this package, has usually replaced it."""
+"""Age at which a program is deleted, as one usually replaced."""
 MOST_KEPT = 500
-"""Number of programs, of some 100 kB each and at most 2 MB, from which on the oldest are deleted too."""
+"""Most programs kept, of 100 kB to 2 MB each."""
 
 UNREADABLE = "Error reading persistent compilation cache"
 
 
 def keep_compiled_programs() -> None:
-    """Keep compiled programs in the user's cache folder; without a writable folder JAX compiles each time.
+    """Keep compiled programs in the user's cache folder.
 
-    A folder that the user has chosen, by JAX_COMPILATION_CACHE_DIR, is left to the user's settings.
+    Without a writable folder JAX compiles each time. A folder that the user has chosen, by JAX_COMPILATION_CACHE_DIR, is left
+    to the user's settings.
     """
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return
@@ -52,9 +53,10 @@ def keep_compiled_programs() -> None:
 
 
 def delete_unreadable(warning: Warning | str) -> bool:
-    """Delete the program that JAX is warning of, while it handles the error; return whether it was such a warning.
+    """Delete the program of which JAX warns; return whether it does.
 
-    JAX compiles it, but would not write over the file, and so compile it in every call.
+    Call it while JAX handles the error. JAX compiles the program, but would not write over the file, and so would compile it in
+    every call.
     """
     folder, failed = os.environ.get("JAX_COMPILATION_CACHE_DIR"), sys.exception()
     if folder is None or folder != str(_folder()) or not str(warning).startswith(UNREADABLE):
@@ -79,18 +81,19 @@ def compile_everything_anew() -> None:
 
 
 def _folder() -> Path:
-    """Folder for this user and this kind of processor, as machines that cannot run each other's code may share a home."""
+    """Folder for this user and this kind of processor."""
     if platform.system() == "Windows":
         cache = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
     elif platform.system() == "Darwin":
         cache = Path.home() / "Library" / "Caches"
     else:
         cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    # machines that cannot run each other's code may share a home
     return cache / "slippulse_jax" / hashlib.sha256(_processor().encode()).hexdigest()[:16]
 
 
 def _processor() -> str:
-    """Features of the first core that a compiler uses; the machine's name where they cannot be read."""
+    """Features of a core that a compiler uses, or the machine's name."""
     kinds = ("vendor_id", "model name", "flags", "CPU implementer", "CPU part", "Features")
     try:
         with Path("/proc/cpuinfo").open(encoding="utf-8") as cores:

@@ -16,7 +16,7 @@ FIGURES = ("fig2", "fig3")
 @click.option("--figure", "names", multiple=True, type=click.Choice(FIGURES), default=FIGURES, help="Default: both.")
 @as_json
 def command(directory: str, formats: tuple[str, ...], names: tuple[str, ...], as_json: bool) -> None:
-    """Draw the paper's Figures 2 and 3 into DIRECTORY, with their numbers as CSV."""
+    """Draw the paper's Figures 2 and 3 into DIRECTORY, with CSV."""
     from slippulse_jax.paper.figures import draw_figures
 
     files = [str(path) for path in draw_figures(directory, formats, names)]

@@ -1,7 +1,7 @@
-"""The command ``slippulse``: data on stdout, messages on stderr, exit status.
+"""The command ``slippulse``: data on stdout, messages on stderr.
 
-0 done; 1 failure; 2 bad usage or input; 3 did not converge; 4 sweep incomplete; 130 interrupted. A command is imported when it
-is run, so that ``--help`` and ``--version`` answer without JAX.
+Exit status: 0 done; 1 failure; 2 bad usage or input; 3 did not converge; 4 sweep incomplete; 130 interrupted. A command is
+imported when it is run, so that ``--help`` and ``--version`` answer without JAX.
 """
 
 import importlib

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from slippulse_jax.events.catalogue import Catalogue
 
 BREAKS_AN_EVENT = 50
-"""Initial capacity of the record of breaks, where they are drawn."""
+"""Breaks recorded at first per event, where they are drawn."""
 
 
 @click.command()
@@ -45,7 +45,7 @@ def command(
     spring: float | None, newborn: float | None, recovery: float | None, repin_delay: int,
     out: Path | None, figure: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
-    """Compute a series of precursors of one slider: a catalogue of events, as CSV on stdout."""
+    """Compute a series of precursors as a catalogue of events, in CSV."""
     _check(step, spring, newborn, recovery)
     if click.get_current_context().parent is not None:  # only in a process of slippulse itself
         from slippulse_jax.bulk.compiler import compile_loops_whole

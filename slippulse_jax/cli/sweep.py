@@ -37,7 +37,7 @@ MOST_VALUES = 10_000_000
 
 
 class Values(click.ParamType):
-    """A number, a list ``a,b,c``, or a range ``first:last:count``, with ``:log`` for even steps of the logarithm."""
+    """A number, a list ``a,b,c``, or a range ``first:last:count[:log]``."""
 
     name = "values"
 
@@ -109,7 +109,7 @@ def _pair(ctx: click.Context, parameter: click.Parameter, value: str | None) -> 
 def command(
     outputs: str, store: str | None, scheduler: str | None, out: Path | None, figure: Path | None, as_json: bool, **request: Any
 ) -> None:
-    """Compute first precursors over ranges of parameters: CSV on stdout, or a store that survives interruption.
+    """Compute first precursors over ranges, as CSV or into a resumable store.
 
     --outputs takes length, exact_length, smooth_length, block_precursor_length; contacts_broken, status, exact_status;
     edge_stress, nucleation_load, b, slow_decay_length; gradients (dlength_dheight …), theory (length_eq25, length_eq58,

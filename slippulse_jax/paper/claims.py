@@ -4,8 +4,8 @@ Everything is computed on demand, at the parameters of the paper's Fig. 2 unless
 ν = 0.3. Where a claim does not hold, the reason found is reported.
 """
 
-from collections.abc import Callable, Iterator
-from typing import Literal, NamedTuple
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -41,7 +41,7 @@ STRAIGHT = 0.99
 CLOSE = 0.10
 """Largest relative difference of a formula that agrees."""
 LONG = 3.0
-"""κΛ above which Λ ≫ 1/κ, where the paper expects its Eq. (25) to hold."""
+"""κΛ above which Λ ≫ 1/κ, the paper's condition for Eq. (25)."""
 ROUGHLY = 0.2
 """Largest relative difference from a number that the paper gives as rough."""
 SAME = 1.5
@@ -49,19 +49,19 @@ SAME = 1.5
 
 
 class Finding(NamedTuple):
-    """The numbers measured for one claim, and the verdict that follows from them."""
+    """Numbers measured for one claim, and the verdict that follows."""
 
     measured: str
     verdict: Verdict
 
 
 class Claim(NamedTuple):
-    """One claim; `holds` and `limits` are the criteria of the verdicts *holds* and *holds within limits*."""
+    """One claim, with the criteria of its verdicts."""
 
     number: str
     says: str
-    holds: str
-    limits: str  # empty where a claim either holds or fails
+    holds: str  # criterion of *holds*
+    limits: str  # criterion of *holds within limits*; empty where a claim either holds or fails
     measure: Callable[[], Finding]
 
 
@@ -80,7 +80,7 @@ CLAIMS: dict[str, Claim] = {}
 
 
 def examine(numbers: list[str] | None = None) -> Iterator[Result]:
-    """Measure the claims one by one, in double precision; all by default. A ValueError if a number is not that of a claim."""
+    """Measure claims in double precision; a ValueError for an unknown number."""
     for number in numbers or []:
         if number not in CLAIMS:
             raise ValueError(f"no claim {number!r}: must be one of {', '.join(CLAIMS)}")
@@ -126,6 +126,11 @@ def judge(holds: bool, within: bool = False) -> Verdict:
     return HOLDS if holds else WITHIN if within else FAILS
 
 
+def _listed(numbers: Iterable[Any], form: str = "") -> str:
+    """Numbers in one format, separated by commas."""
+    return ", ".join(f"{number:{form}}" for number in numbers)
+
+
 @claim("C1", holds="26 contacts break", limits="25 or 27")
 def count() -> Finding:
     """Λ = 26 λc at the parameters of Fig. 2."""
@@ -164,10 +169,10 @@ def stress() -> Finding:
 
 
 def _straight(x: np.ndarray, lengths: np.ndarray) -> tuple[str, Verdict]:
-    """R² of a straight line through each row of lengths, with the sign of its slope; and the verdict."""
+    """R² of straight lines, with the slope's sign, and the verdict."""
     r = np.array([np.corrcoef(x, length)[0, 1] for length in lengths])
     r2 = r * abs(r)
-    return f"R² = {', '.join(f'{one:.4f}' for one in r2)}", judge(bool((r2 > STRAIGHT).all()), bool((r2 > STRAIGHT).any()))
+    return f"R² = {_listed(r2, '.4f')}", judge(bool((r2 > STRAIGHT).all()), bool((r2 > STRAIGHT).any()))
 
 
 @claim(
@@ -181,7 +186,7 @@ def height() -> Finding:
     lengths = precursor_lengths(Slider(heights, np.array([[0.003], [0.01], [0.03]]), 0.3))
     r2, verdict = _straight(heights, lengths)
     slopes = [np.polyfit(heights, length, 1)[0] for length in lengths]
-    return Finding(f"{r2}; slopes {', '.join(f'{slope:.3f}' for slope in slopes)}", verdict)
+    return Finding(f"{r2}; slopes {_listed(slopes, '.3f')}", verdict)
 
 
 @claim(
@@ -201,8 +206,8 @@ def stiffness() -> Finding:
     again = beyond[(fronts.status == Outcome.REBREAK).argmax(axis=1)]
     text = (
         f"{r2}: the taller the slider, the more the line bends; Λ is largest at k/K = "
-        f"{', '.join(f'{peak:.3f}' for peak in peaks)} and falls beyond: Λ is not monotonic in k/K. From k/K = "
-        f"{', '.join(f'{first:.3f}' for first in again)} on contact 0 breaks again before the front stops, and the event goes farther than "
+        f"{_listed(peaks, '.3f')} and falls beyond: Λ is not monotonic in k/K. From k/K = "
+        f"{_listed(again, '.3f')} on contact 0 breaks again before the front stops, and the event goes farther than "
         "that front"
     )
     return Finding(text, verdict)
@@ -215,10 +220,9 @@ def threshold() -> Finding:
     spread = max(at) - min(at)
     friction = (0.0, 0.1, 0.3, 0.5)  # at μ = 0 the whole event of the others, under level thresholds
     on_block = [precursor_length(Block(24.0, 0.3 / (2.6 * 24), 0.3, length=72, friction=mu), event="full") for mu in friction]
-    over = ", ".join(f"{float(length) / 24:.2f}" for length in on_block)
     text = (
         f"thresholds of 0.1, 1 and 10: ℓ differs by {spread:.1e} λc. On a block that is pushed above H/4 and whose thresholds are μ times "
-        f"a pressure, which this push tilts (H/λc = 24, b = 0.3, L = 3 H), ℓ/H = {over} at μ = {', '.join(map(str, friction))}: there it "
+        f"a pressure, which this push tilts (H/λc = 24, b = 0.3, L = 3 H), ℓ/H = {_listed(np.array(on_block) / 24, '.2f')} at μ = {_listed(friction)}: there it "
         "depends on μ, though not on the load"
     )
     return Finding(text, judge(spread < 1e-9))
@@ -260,7 +264,7 @@ def prestress() -> Finding:
     soft = Slider(10.381840251071646, 0.024884160056852563, 0.05409050217326783)
     above = float(precursor_length(soft, interface=Interface(float(runaway_prestress(lattice_modes(soft))) + 1e-4)))
     text = (
-        f"Λ = {', '.join(f'{x:.0f}' for x in np.ceil(length[:8]))} at φ = 0–0.53; {_stops(length[8])} at φ_c(1 − 1e-6), "
+        f"Λ = {_listed(np.ceil(length[:8]), '.0f')} at φ = 0–0.53; {_stops(length[8])} at φ_c(1 − 1e-6), "
         f"{_stops(length[9])} at φ_c(1 + 1e-6), φ_c = {critical:.4f}. Where b is small φ ≥ φ_c is necessary, not sufficient: at "
         f"H/λc = 10.4, k/K = 0.025, ν = 0.05 (b = {float(soft.b):.2f}) the front {_stops(above)} at φ_c + 1e-4"
     )
@@ -305,20 +309,22 @@ def repinning_delay() -> Finding:
     gain = (lengths - lengths[0])[1:]
     rate = gain / sites[1:]
     text = (
-        f"delays of 1–6 sites lengthen ℓ by {', '.join(f'{g:.2f}' for g in gain)} λc: by {rate[0]:.1f} per site at first and "
+        f"delays of 1–6 sites lengthen ℓ by {_listed(gain, '.2f')} λc: by {rate[0]:.1f} per site at first and "
         f"{rate[-1]:.1f} on average at 6"
     )
     return Finding(text, judge(bool((abs(rate - 1) < ROUGHLY).all()), bool((np.diff(lengths) > 0).all())))
 
 
 CONVERGED = 0.05
-"""Step, over the largest stable one, from which on the same contacts break. Times of breaks are of first order in the step: without
-damping the 41st contact breaks at t = 47.8 with this step and at 47.6 with half of it; with twice this step it does not break, and
-with the default only at 497, by a wave that the right end reflects."""
+"""Step, over the largest stable one, below which the same contacts break.
+
+Times of breaks are of first order in the step: without damping the 41st contact breaks at t = 47.8 with this step and at 47.6
+with half of it; with twice this step it does not break, and with the default only at 497, by a wave that the right end reflects.
+"""
 
 
 def _broken(one: Chain, damping: float, rule: SelfHealing | CrackLike) -> tuple[int, float]:
-    """Contacts broken by a simulation with inertia, held at the load of nucleation; and when the last of them broke."""
+    """Contacts broken with inertia at the load of nucleation, and when."""
     duration = 4000.0 if damping == 1 else 500.0
     motion = simulate_inertial(one, duration=duration, damping=damping, rule=rule, safety=CONVERGED)
     extent = int(motion.extent)
@@ -326,7 +332,7 @@ def _broken(one: Chain, damping: float, rule: SelfHealing | CrackLike) -> tuple[
 
 
 def _pushed_to_nucleation(one: Chain) -> tuple[int, float]:
-    """Which contact breaks first, and at what load, where a chain with inertia is pushed slowly; in u_s."""
+    """First contact to break under a slow push with inertia, and load."""
     load, velocity = 0.99 * nucleate(one)[0].load, 1e-3
     pushed = simulate_inertial(one, one.relaxed(load), duration=float(0.02 * load / velocity), velocity=velocity)
     return int(pushed.first_break.argmin()), float(load + velocity * pushed.first_break.min())
@@ -347,7 +353,7 @@ def inertia() -> Finding:
     extent, ended = zip(*(_broken(one, g, SelfHealing()) for g in damping), strict=True)
     site, pushed = _pushed_to_nucleation(one)
     text = (
-        f"Λ = {', '.join(map(str, extent))} at damping {', '.join(f'{g:g}' for g in damping)} √(K/m): undamped {extent[-1]}, the last "
+        f"Λ = {_listed(extent)} at damping {_listed(damping, 'g')} √(K/m): undamped {extent[-1]}, the last "
         f"at t = {ended[-1]:.1f} √(m/K), against {static}. Pushed at 1e-3 u_s √(K/m), contact {site} breaks first, at {pushed / load:.4f} of the static load. Overdamped with "
         f"instantaneous breaks Λ is {extent[0]}: each contact then breaks at exactly σ_s, before the overload of the quasi-static "
         "picture has arrived"
@@ -374,15 +380,15 @@ def distribution() -> Finding:
         f"a contact at the edge, whose surroundings have K_s = {float(found.surroundings_at_edge):.2f} k, is stable by itself beyond "
         f"widths (in u_s) of {alone['normal']:.3f} (normal), {alone['uniform']:.3f} (uniform), {alone['weibull']:.3f} (Weibull, "
         f"1/shape). The whole chain, whose contacts fall together, is loaded without a jump beyond "
-        f"{', '.join(f'{width:.3f}' for width in whole)}"
+        f"{_listed(whole, '.3f')}"
     )
     return Finding(text, judge(bool(np.isfinite(whole).all()), bool(np.isfinite(list(alone.values())).all())))
 
 
 def _whole_chain_smooth(kind: Kind) -> float:
-    """Width beyond which the load along the path of the first contact of 40 never falls, by bisection.
+    """Width beyond which the load of a whole chain never falls.
 
-    NaN where it never falls even with narrow thresholds, so that there is no instability to remove; inf where it falls with wide ones.
+    By bisection, along the path of the first contact of 40. NaN where it never falls even with narrow thresholds, so that there is no instability to remove; inf where it falls with wide ones.
     """
 
     @jax.jit
@@ -415,10 +421,10 @@ def without_ageing() -> Finding:
     steps = series(chain(FIG2, sites=300), Steps(0.5), events=8, recorded_breaks=1000)
     stepped, patches = np.asarray(steps.breaks), _patches(steps)
     text = (
-        f"adiabatically: the pulses from the edge break {', '.join(map(str, breaks[edge]))} contacts, the second at U = "
+        f"adiabatically: the pulses from the edge break {_listed(breaks[edge])} contacts, the second at U = "
         f"{load[edge][1]:.2f} u_s; the other {int(peak.sum())} of {len(kind)} events nucleate at a stress peak, mostly of one contact: a second "
-        f"pulse meets contacts still unloaded by the first. In steps of 0.5 u_s: {', '.join(map(str, stepped))} breaks each, extents "
-        f"{', '.join(map(str, np.asarray(steps.extent)))}, in {', '.join(map(str, patches))} separate patches"
+        f"pulse meets contacts still unloaded by the first. In steps of 0.5 u_s: {_listed(stepped)} breaks each, extents "
+        f"{_listed(np.asarray(steps.extent))}, in {_listed(patches)} separate patches"
     )
     of_two_kinds = bool((edge | peak).all())
     return Finding(text, judge(_alike(breaks[edge]) and of_two_kinds, _alike(stepped) and max(patches) == 1))
@@ -449,10 +455,10 @@ def with_ageing() -> Finding:
     spans = int(aged.status) == Outcome.SPANNED
     text = (
         f"thresholds reborn at 0.3 σ_s, recovering over 3 u_s of load, N = 150: the record extents of events of 10 breaks and more are "
-        f"{', '.join(map(str, records))}; " + (f"event {n} spans" if spans else f"none of {n} spans")
+        f"{_listed(records)}; " + (f"event {n} spans" if spans else f"none of {n} spans")
     )
     falls = "falls at first" if (np.diff(force)[:1] < 0).all() else "does not fall at first"
-    text += f". The force on the edge as they start {falls}: {', '.join(f'{one:.2f}' for one in force)} K u_s"
+    text += f". The force on the edge as they start {falls}: {_listed(force, '.2f')} K u_s"
     grows = len(records) > 3
     return Finding(text, judge(grows and spans, grows))
 
@@ -476,8 +482,8 @@ def simulation() -> Finding:
     rounding = 10.0 ** np.ceil(np.log10(max(apart, 1e-16)))  # its digits differ between machines
     text = (
         f"breaks far apart in time: the same state to {rounding:.0e} u_s (H/λc = 10). Instantaneous breaks: Λ = "
-        f"{', '.join(map(str, damped.values()))} at damping {', '.join(f'{g:g}' for g in damped)} √(K/m), against {static}. Contacts that "
-        f"repin only when their slip rate vanishes (friction 0.3, 0.5, 0.7 σ_s): Λ = {', '.join(map(str, crack))}, which "
+        f"{_listed(damped.values())} at damping {_listed(damped, 'g')} √(K/m), against {static}. Contacts that "
+        f"repin only when their slip rate vanishes (friction 0.3, 0.5, 0.7 σ_s): Λ = {_listed(crack)}, which "
         "depends on the thresholds, as the paper says of crack-like models"
     )
     near = all(abs(extent / static - 1) < ROUGHLY for extent in (*damped.values(), *crack))

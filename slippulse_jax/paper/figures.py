@@ -33,17 +33,17 @@ Table = dict[str, np.ndarray]
 
 
 def fig2_fields() -> Table:
-    """Fig. 2 a, b: displacements in u_s and stress in σ_s against x/λc, at nucleation, s = 13 and arrest s = 26."""
+    """Fig. 2 a, b: displacements (u_s) and stress (σ_s) against x/λc."""
     x = np.arange(61)
     table: Table = {"x": x}
-    for s in (0, 13, 26):
+    for s in (0, 13, 26):  # nucleation, on the way, arrest
         for name, value in exact_fields(FIG2, s, x)._asdict().items():
             table[f"{name}_s{s}"] = np.asarray(value)
     return table
 
 
 def fig2_stress() -> Table:
-    """Fig. 2 c: stress at nucleation, at the passing front tip, and their difference, in σ_s, against x/λc."""
+    """Fig. 2 c: stress (σ_s) at nucleation and at the passing front."""
     x = np.arange(61)
     tip, before = np.asarray(exact_front_stress(FIG2, x)), np.asarray(exact_fields(FIG2, 0, x).stress)
     # at x = 0 their limit, contact 0 having broken
@@ -52,7 +52,7 @@ def fig2_stress() -> Table:
 
 
 def lengths(height: np.ndarray, stiffness: np.ndarray) -> Table:
-    """Λ/λc by every level of theory, where contact 0 breaks again, and contacts broken in finite chains (NaN: all)."""
+    """Λ/λc by every level of theory, and contacts broken (NaN: all)."""
     slider = Slider(height, stiffness, POISSON)
     lattice = exact_lengths(slider)
     table = {
@@ -90,9 +90,10 @@ def fig3b() -> Table:
 def draw_figures(
     directory: str | Path, formats: Iterable[str] = FIGURE_FORMATS, names: Iterable[str] = ("fig2", "fig3")
 ) -> list[Path]:
-    """Draw the figures into `directory`, with their numbers as CSV; each file appears whole or not at all.
+    """Draw the figures into a directory, with their numbers as CSV.
 
-    The directory is created if missing. Return the files written; a ValueError for an unknown format or name.
+    It is created if missing, and each file appears whole or not at all. Return the files written; a ValueError for an unknown
+    format or name.
     """
     formats, names = list(formats), list(names)
     for value, known in ((formats, FIGURE_FORMATS), (names, tuple(_FIGURES))):

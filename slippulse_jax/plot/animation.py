@@ -39,9 +39,8 @@ def animate(
 ) -> "FuncAnimation":
     """Animate a first precursor, from nucleation to arrest.
 
-    Displacements are above, of a block the shear stress in it; contact stress is below.
-
-    One frame per break, at most 150 frames. The model has no time: frames count breaks.
+    The upper panel has the displacements of a slider or the shear stress in a block, the lower one the contact stress. There
+    is one frame per break, at most 150. The model has no time: frames count breaks.
 
     Parameters
     ----------
@@ -110,7 +109,7 @@ def animate(
 
 
 def _scene(panels: Any, fields: ChainFields, positions: np.ndarray, shown: int) -> Any:
-    """Draw the first frame, and return the function that draws any other."""
+    """Draw the first frame; return the function that draws any other."""
     above, below = panels
     c = style.colours(above)
     x = np.arange(shown)
@@ -140,7 +139,7 @@ def _scene(panels: Any, fields: ChainFields, positions: np.ndarray, shown: int) 
 
 
 def _scene_of_block(panels: Any, frames: Frames) -> Any:
-    """The same for a block: the shear stress in it above."""
+    """Draw the first frame of a block, whose shear stress is above."""
     above, below = panels
     mesh = draw_block(above, frames, 0)
     above.figure.colorbar(mesh, ax=above, label=r"$\sigma_{xy}/\sigma_s$", extend="both", location="top", aspect=40)
@@ -160,7 +159,7 @@ def _scene_of_block(panels: Any, frames: Frames) -> Any:
 
 
 def _contact_stress(below: "Axes", x: np.ndarray, stress: np.ndarray, threshold: np.ndarray) -> "tuple[Line2D, Line2D, Text]":
-    """Draw the stress at nucleation and the threshold; return the lines and the text that change between frames."""
+    """Draw stress and threshold; return what changes between frames."""
     c = style.colours(below)
     below.plot(x, stress[0], ":", color=c.ink, lw=1, label="at nucleation")
     (holds,) = below.plot(x, threshold[0], color=c.grey, lw=0.8, label="threshold")

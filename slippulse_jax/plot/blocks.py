@@ -1,4 +1,4 @@
-"""The stress in a block at the instant a front passes, and its animation."""
+"""Pictures of the stress in a block as a front passes."""
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -20,7 +20,7 @@ REACH = 2.0
 
 
 class Frames(NamedTuple):
-    """What pictures of a block after given numbers of breaks show."""
+    """Stresses of a block after given numbers of breaks."""
 
     found: BlockPrecursor
     breaks: np.ndarray
@@ -32,7 +32,7 @@ class Frames(NamedTuple):
 
 
 def frames_of(found: BlockPrecursor, breaks: np.ndarray, interface: Interface | Profile | None) -> Frames:
-    """Compute the stresses after so many breaks."""
+    """Compute the stresses after given numbers of breaks."""
     if np.ndim(found.length):
         raise ValueError("a picture shows one precursor, not a batch")
     last = int(found.breaks)
@@ -58,14 +58,14 @@ def block_stress(
     colorbar: bool = True,
     ax: "Axes | None" = None,
 ) -> "Axes":
-    """Draw the shear stress in a block after some breaks of its first precursor.
+    """Draw the shear stress in a block after some breaks.
 
     Parameters
     ----------
     found : BlockPrecursor
         Result of `first_precursor`.
     breaks : int, optional
-        0 at nucleation; by default all, when the event is over.
+        Number of breaks, 0 at nucleation; by default all, when the event is over.
     interface : Interface or Profile, optional
         As `first_precursor` had it.
     colorbar : bool
@@ -90,7 +90,7 @@ def block_stress(
 
 
 def draw_block(ax: "Axes", frames: Frames, number: int) -> Any:
-    """Draw the stress in the block with its pusher; return the coloured cells."""
+    """Draw the stress and the pusher; return the coloured cells."""
     c, block, n = colours(ax), frames.found.block, frames.shown
     height = float(block.height)
     mesh = ax.pcolormesh(

@@ -50,7 +50,7 @@ def design(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
 def design_lengths(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
     """Draw ℓ/H ± σ of the best candidates against stiffness.
 
-    Below it stands the density of the present knowledge.
+    Below them is the density of the present knowledge.
     """
     ax = axes(ax)
     c = colours(ax)
@@ -88,8 +88,8 @@ def design_lengths(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
 
 
 def _densities(knowledge: "Knowledge") -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield the density of ln(stiffness) about each root, where it is not negligible."""
+    """Yield the density of ln(stiffness) about each root."""
     for weight in knowledge.by_root.T:
-        own = weight > 1e-6 * knowledge.weight.max()
+        own = weight > 1e-6 * knowledge.weight.max()  # where it is not negligible
         weights, edges = np.histogram(knowledge.log_stiffness[own], 40, weights=weight[own])
         yield (edges[1:] + edges[:-1]) / 2, weights / np.diff(edges)

@@ -1,4 +1,4 @@
-"""Pictures of events: fields, order of breaks, sensitivities of one; friction curve, precursors, space–time map of a series."""
+"""Pictures of one event, and of series of events."""
 
 import warnings
 from collections.abc import Iterable
@@ -32,11 +32,11 @@ NAMES = {EventClass.RENUCLEATED: "at an earlier arrest"}
 """Legend entry of a class whose name says too little."""
 
 OVER_STRENGTH = r"force over strength of all contacts, $F/\Sigma\sigma_s\lambda_c^2$"
-OVER_FRICTION = {
+OVER_FRICTION = {  # of blocks with friction; a held top presses more or less as the push grows
     "free": r"force over that of friction, $F/\mu F_N$",
     "held": r"force over that of friction at rest, $F/\mu F_{N,0}$",
 }
-"""Names of a force over the sum of thresholds; for blocks with friction by their top, which if held presses more or less."""
+"""Labels of a force over the sum of thresholds, by the top."""
 
 
 @drawn
@@ -45,7 +45,7 @@ def displacements(
 ) -> "Axes":
     """Draw the displacements of the two layers, in u_s.
 
-    Dashed: `before` a rupture.
+    Those `before` a rupture are dashed.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def stress(
 ) -> "Axes":
     """Draw the stress on every contact, in σ_s.
 
-    With the thresholds of `chain`; dashed: `before` a rupture.
+    Thresholds are those of `chain`; stresses `before` a rupture are dashed.
     """
     ax = axes(ax)
     c = colours(ax)
@@ -115,11 +115,9 @@ def front_stress(
 
 @drawn
 def break_order(found: Rupture, *, ax: "Axes | None" = None) -> "Axes":
-    """Draw the breaks of a rupture, site against order.
+    """Draw the breaks of a rupture under the hard rule.
 
-    Under the hard rule; the colour is the stress drop.
-
-    The model is quasi-static and has no time beyond the order of breaks.
+    Site is against order, and the colour is the stress drop. The model has no time beyond the order of breaks.
     """
     ax = axes(ax)
     n = int(found.breaks)
@@ -134,7 +132,7 @@ def break_order(found: Rupture, *, ax: "Axes | None" = None) -> "Axes":
 
 @drawn
 def sensitivity(found: Sensitivity, *, sites: int | None = None, ax: "Axes | None" = None) -> "Axes":
-    """Draw the derivatives of the length in every threshold and prestress."""
+    """Draw the derivatives of the length by every threshold and prestress."""
     ax = axes(ax)
     c = colours(ax)
     shown = slice(sites)
@@ -187,11 +185,11 @@ def precursors(
     colour: str = "blue",
     ax: "Axes | None" = None,
 ) -> "Axes":
-    """Draw how far precursors get against the driving force, as experiments report it.
+    """Draw the extent of precursors against the driving force.
 
-    Extent over the length of the body, against the force as the event starts over that at which all contacts would be at their
-    threshold: of a block with friction and equal contacts, μ times the normal load. The line follows the farthest contact
-    broken so far; open points are events that do not begin at the edge.
+    As experiments report it: the extent over the length of the body, against the force as the event starts over that at which
+    all contacts would be at their threshold, which on a block with friction and equal contacts is μ times the normal load. The
+    line follows the farthest contact broken so far; open points are events that do not begin at the edge.
 
     Parameters
     ----------
@@ -239,7 +237,7 @@ def precursors(
 
 
 def _driving(body: Block | Chain, interface: Interface | Profile | None) -> tuple[int, float, str]:
-    """Number of contacts, force at which all would be at their threshold, and name of the force over it."""
+    """Number of contacts, sum of their thresholds, and label of the force."""
     if isinstance(body, Chain):
         return body.sites, float(body.stiffness * np.sum(body.threshold, where=np.asarray(body.contact) > 0)), OVER_STRENGTH
     if body.sites is None:
@@ -251,9 +249,9 @@ def _driving(body: Block | Chain, interface: Interface | Profile | None) -> tupl
 
 @drawn
 def space_time(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
-    """Draw every recorded break by site and load.
+    """Draw every recorded break, load against site.
 
-    Its colour is the class of its event. Missing breaks give a warning.
+    The colour is the class of the event. Breaks that were not recorded give a warning.
     """
     ax = axes(ax)
     site, event = np.asarray(catalogue.break_site), np.asarray(catalogue.break_event)

@@ -17,7 +17,7 @@ from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
 SITES = 320
-"""Contacts computed and shown; fixed, so that one compiled program serves every slider."""
+"""Contacts computed and shown, the same for every slider and compiled program."""
 
 MOST_CONTACTS = 20_000
 LOW = float(np.log10(0.03)) - 1.5  # so that the paper's 0.03 is a step of the slider
@@ -28,11 +28,14 @@ STEPS = {
     "+0.01 prestress": (3, 0.01, False),
     "+0.001 slope": (4, 0.001, False),
 }
-"""Small changes whose effect is shown: index of the parameter, change, whether it is relative."""
+"""Changes whose effect is shown: parameter, size, and whether it is relative."""
 
 
 class View(NamedTuple):
-    """Everything drawn, in arrays of fixed shapes; lengths in λc, displacements in u_s, stresses in σ_s."""
+    """Everything drawn, in arrays of fixed shapes.
+
+    Lengths are in λc, displacements in u_s, stresses in σ_s.
+    """
 
     length: Array
     slopes: Array  # of the length, in (H/λc, k/K, ν, φ, ε)
@@ -50,7 +53,10 @@ class View(NamedTuple):
 
 @jax.jit
 def view(theta: Array, position: Array) -> View:
-    """Compute the view of θ = (H/λc, k/K, ν, φ, ε) with the front at `position` (−1: where it stops)."""
+    """Compute the view of one slider, with the front at a position.
+
+    `theta` is (H/λc, k/K, ν, φ, ε); `position` is a number of broken contacts, or −1 for where the front stops.
+    """
 
     def model(x: Array) -> tuple[Slider, Interface]:
         return Slider(x[0], x[1], x[2]), Interface(prestress=x[3], threshold_slope=x[4])
@@ -83,11 +89,10 @@ def view(theta: Array, position: Array) -> View:
 
 
 def explore(*, dark: bool = False) -> Any:
-    """Show fields, length and sensitivities next to sliders for the parameters.
+    """Show fields, length and sensitivities beside sliders for the parameters.
 
-    The sliders are for H/λc, k/K, ν, prestress and threshold slope.
-
-    For notebooks; needs the extra ``explore`` (ipywidgets). The play button runs the front from nucleation to arrest.
+    The sliders set H/λc, k/K, ν, prestress and threshold slope. The play button runs the front from nucleation to arrest. It is
+    for notebooks, and needs the extra ``explore`` (ipywidgets).
 
     Parameters
     ----------
@@ -165,7 +170,7 @@ def describe(seen: View) -> str:
 
 
 class Drawing:
-    """Four panels whose lines are moved, not redrawn; calling it with a `View` returns a PNG."""
+    """Four panels whose lines are moved, not redrawn."""
 
     def __init__(self, dark: bool) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -201,7 +206,7 @@ class Drawing:
             self.slopes.set(xlabel="change of the length, $\\lambda_c$")
 
     def __call__(self, seen: View, theta: np.ndarray) -> bytes:
-        """Draw one view."""
+        """Draw one view, as PNG."""
         stops = bool(np.isfinite(seen.length))
         broken = min(int(seen.contacts_broken), SITES) if stops else SITES
         shown = int(min(SITES, max(20, 1.7 * broken)))

@@ -1,4 +1,4 @@
-"""Names, symbols and units of quantities on the axes of pictures, and text that users wrote."""
+"""Names, symbols and units on pictures, and text of the user's."""
 
 import unicodedata
 
@@ -41,7 +41,7 @@ COMBINED = {
 
 
 def symbol(name: str, unit: str = "") -> str:
-    """Symbol of a quantity, over its unit if of the model."""
+    """Symbol of a quantity, over its unit if that is the model's."""
     sign = NAMES[name][1]
     return f"${sign}/{UNITS[unit]}$" if unit in UNITS else f"${sign}$"
 
@@ -91,10 +91,10 @@ MOST_CHARACTERS = 40
 
 
 def as_written(text: str, most: int = MOST_CHARACTERS) -> str:
-    r"""Text of the user's, such as the name of a specimen, for Matplotlib to draw it as written.
+    r"""Text of the user's, for Matplotlib to draw it as written.
 
-    It is neither read as a formula nor hidden from legends. White space is blank; what the font has no sign for is drawn as
-    its escape, and "…" for the middle of a long text.
+    A name of a specimen, say, is neither read as a formula nor hidden from legends. White space is blank, a character that the
+    font does not have is drawn as its escape, and "…" replaces the middle of a long text.
 
     Examples
     --------
@@ -124,4 +124,4 @@ DISTANCE = axis_label("position", "λc")
 """Label of every axis along the interface."""
 
 AGAIN = "edge breaks again"
-"""Legend entry beyond the onset of re-breaking, where the length is that of the front, not of the event."""
+"""Legend entry where the length is the front's, not the event's."""

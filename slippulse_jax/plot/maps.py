@@ -27,15 +27,15 @@ NARROW = 16
 """Most characters per line of a legend next to the lines."""
 
 LINES = 8
-"""Largest number of lines in a family; an axis with more values makes a map."""
+"""Most lines of a family; an axis with more makes a map."""
 
 
 @style.drawn
 def sweep(found: "xr.Dataset | xr.DataArray", name: str | None = None, *, ax: "Axes | None" = None) -> "Axes":
     """Draw one output of a sweep.
 
-    It is a line for each of at most 8 values of an axis, or a map over two axes. If the sweep has a status, lines are dashed
-    and maps hatched where the edge contact breaks again.
+    With one axis it is a line, with two a line for each value of an axis of at most 8, or a map. If the sweep has a status,
+    lines are dashed and maps hatched where the edge contact breaks again.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def sweep(found: "xr.Dataset | xr.DataArray", name: str | None = None, *, ax: "A
 
 
 def not_drawn(axes: "Sequence[str]", instead: str) -> str:
-    """Explain why a sweep over these axes is not drawn, and what to do instead."""
+    """Message about axes that cannot be drawn, and what to do instead."""
     return f"a picture needs one or two axes of several values, not {len(axes)} ({', '.join(axes) or 'none'}): {instead}"
 
 
@@ -150,7 +150,7 @@ def _map(ax: "Axes", column: "xr.DataArray", again: "xr.DataArray", vertical: st
 
 
 def _label_contours(ax: "Axes", lines: "ContourSet") -> None:
-    """Label contours where a label fits: on the longest line of its level, away from the frame and from other labels."""
+    """Label each level away from the frame and from other labels."""
     cast("Figure", ax.figure.figure).draw_without_rendering()  # for the layout to be final
     frame = ax.get_window_extent()
     center = np.add(frame.p0, frame.p1) / 2
@@ -170,7 +170,7 @@ def _label_contours(ax: "Axes", lines: "ContourSet") -> None:
 
 
 def spans_decades(values: np.ndarray) -> bool:
-    """Whether values are positive and span more than a factor of 30, so that their scale should be logarithmic."""
+    """Whether a logarithmic scale suits: positive, over a factor of 30."""
     return bool(values.min() > 0 and values.max() / values.min() > 30)
 
 

@@ -20,7 +20,7 @@ LABEL = {"threshold": "threshold, $\\theta/\\theta_0$", "prestress": axis_label(
 def recovered_profile(found: "RecoveredProfile", *, ax: "Axes | None" = None) -> "Axes":
     """Draw a recovered profile with its 68 % and 95 % bands.
 
-    With the band of the prior alone, and the arrests; dashed where the lengths do not determine it.
+    The band of the prior alone and the arrests are drawn too. The line is dashed where the lengths do not determine it.
     """
     ax = axes(ax)
     c = colours(ax)

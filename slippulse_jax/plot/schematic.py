@@ -1,4 +1,4 @@
-"""Schematics of the two bodies on their contacts: the paper's slider, and a block under two-dimensional elasticity."""
+"""Schematics of a slider and of a block on their contacts."""
 
 from typing import TYPE_CHECKING
 
@@ -17,10 +17,10 @@ CONTACTS = 7
 
 @drawn
 def schematic(body: Slider | Block, *, ax: "Axes | None" = None) -> "Axes":
-    """Draw what the model consists of: a slider's two layers and springs, or a block, its pusher and its contacts.
+    """Draw the parts of the model.
 
-    Not to scale: a few contacts of many; only the pusher of a block is at its height. The first two have broken, and are pinned
-    where they are, at zero stretch.
+    They are a slider's two layers and springs, or a block, its pusher and its contacts. A few contacts stand for many, of which
+    the first two have broken and are pinned where they are, at zero stretch. Only the pusher of a block is to scale.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def schematic(body: Slider | Block, *, ax: "Axes | None" = None) -> "Axes":
 
 
 def _slider(ax: "Axes", x: np.ndarray) -> None:
-    """Two layers of rigid slices: springs along each, and from one to the other."""
+    """Draw two layers of rigid slices, joined by springs."""
     c = colours(ax)
     for i, at in enumerate(x):
         _box(ax, at - 0.3, 1.3, 0.6, 1.0, c.blue)
@@ -64,7 +64,7 @@ def _slider(ax: "Axes", x: np.ndarray) -> None:
 
 
 def _block(ax: "Axes", body: Block) -> None:
-    """An elastic body that is pushed over part of its side."""
+    """Draw an elastic body that is pushed over part of its side."""
     c = colours(ax)
     height, right = 2.6, CONTACTS + 0.25
     edge = np.linspace(0, height, 80)
@@ -92,7 +92,7 @@ def _block(ax: "Axes", body: Block) -> None:
 
 
 def _contacts(ax: "Axes", x: np.ndarray) -> None:
-    """Contacts between the body and the track, the first two of them broken and pinned again."""
+    """Draw contacts with the track, two of them pinned again."""
     c = colours(ax)
     track = -0.85
     for i, at in enumerate(x):
@@ -118,7 +118,7 @@ def _box(ax: "Axes", x: float, y: float, width: float, height: float, colour: st
 def _spring(
     ax: "Axes", start: tuple[float, float], end: tuple[float, float], *, coils: int = 5, colour: str | None = None
 ) -> None:
-    """A zigzag from one point to another."""
+    """Draw a zigzag from one point to another."""
     a, b = np.array(start), np.array(end)
     along = b - a
     across = 0.09 * np.array([-along[1], along[0]]) / np.hypot(*along)

@@ -1,9 +1,8 @@
 """The look of every picture, light or dark.
 
-Its colours are safe for colour-blind readers, its type legible at column width.
-
-Drawing functions take ``ax=None``, begin with `axes`, and take their colours from `colours`, which depend on the background;
-so a picture suits the page, whoever made the Axes.
+Its colours are safe for colour-blind readers, and its type is legible at column width. Drawing functions take ``ax=None``,
+begin with `axes`, and take their colours from `colours`, which depend on the background: so a picture suits the page, whoever
+made the Axes.
 """
 
 import functools
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 Draw = TypeVar("Draw", bound=Callable[..., Any])
 
 COLUMN, PAGE = 3.4, 7.0
-"""Widths of a journal's column and page, in inches (86 and 178 mm)."""
+"""Widths of a journal's column and page (86, 178 mm), in inches."""
 
 ABOVE: dict[str, Any] = {
     "loc": "lower left", "bbox_to_anchor": (-0.02, 1), "borderpad": 0, "handlelength": 1.4, "columnspacing": 1.2
@@ -32,11 +31,11 @@ ABOVE: dict[str, Any] = {
 """Options of ``ax.legend`` above the Axes, where lines leave no room inside."""
 
 WIDEST = 1.2
-"""Largest width of a legend above an Axes, over that of the Axes before its figure is laid out."""
+"""Largest width of a legend, over that of its Axes."""
 
 
 class Colours(NamedTuple):
-    """Six colours for data, in order of use; `ink` for text, `grey` for what is secondary."""
+    """Six colours for data, in order of use, and three others."""
 
     blue: str
     vermilion: str
@@ -44,9 +43,9 @@ class Colours(NamedTuple):
     orange: str
     purple: str
     sky: str
-    grey: str
-    ink: str
-    paper: str
+    grey: str  # what is secondary
+    ink: str  # text
+    paper: str  # background
 
     @property
     def data(self) -> tuple[str, ...]:
@@ -62,7 +61,7 @@ DARK = Colours("#5B8DD9", "#E0603A", "#4FE3A0", "#F0BE3C", "#E7A6CC", "#B9DDF5",
 
 
 def colours(ax: Any) -> Colours:
-    """Choose the colours for an Axes: `DARK` where its background is dark, else `LIGHT`."""
+    """Choose `DARK` for an Axes on a dark background, else `LIGHT`."""
     from matplotlib.colors import to_rgba
 
     face = ax.get_facecolor()
@@ -116,7 +115,7 @@ def use(*, dark: bool = False, **changes: Any) -> Iterator[None]:
 
 
 def _in_force() -> Any:
-    """Apply the look, dark where the current settings are dark; keep the settings if they are the look, changed or not."""
+    """Apply the look, unless the settings are the look already."""
     import matplotlib as mpl
 
     data = mpl.rcParams["axes.prop_cycle"].by_key().get("color", [])
@@ -137,7 +136,7 @@ def axes(ax: "Axes | None" = None) -> "Axes":
 
 
 def letter_panels(*panels: "Axes") -> None:
-    """Letter the panels of a figure (a), (b), (c) …, above the upper end of their vertical axes."""
+    """Letter panels (a), (b), (c) …, above their vertical axes."""
     for number, ax in enumerate(panels):
         where: dict[str, Any] = {"xycoords": "axes fraction", "textcoords": "offset points", "annotation_clip": False}
         letter = ax.annotate(f"({chr(ord('a') + number)})", (0, 1), (-14, 3), fontweight="bold", ha="right", **where)
@@ -146,9 +145,10 @@ def letter_panels(*panels: "Axes") -> None:
 
 @contextmanager
 def new_figure(width: float, height: float, ax: "Axes | None" = None) -> "Iterator[Figure]":
-    """Make a figure of several panels, unknown to pyplot, and draw it in the look; sizes in inches.
+    """Make a figure of several panels, and draw it in the look.
 
-    With `ax`, an Axes of a grid as ``plt.subplots`` makes them, the panels take its place, on a `SubFigure`.
+    Sizes are in inches. The figure is unknown to pyplot. With `ax`, an Axes of a grid as ``plt.subplots`` makes them, the
+    panels take its place, on a `SubFigure`.
     """
     from matplotlib.figure import Figure
 
@@ -164,7 +164,7 @@ def new_figure(width: float, height: float, ax: "Axes | None" = None) -> "Iterat
 
 
 def drawn(function: Draw) -> Draw:
-    """Decorate a drawing function, so that it draws in the look where it makes its own figure."""
+    """Decorate a drawing function, so that its own figures have the look."""
 
     @functools.wraps(function)
     def draw(*arguments: Any, ax: "Axes | None" = None, **options: Any) -> Any:
@@ -183,7 +183,7 @@ def dashed_where(ax: Any, x: np.ndarray, y: np.ndarray, again: np.ndarray, **opt
 
 
 def handles_of(ax: Any, *, again: bool) -> list[Any]:
-    """Handles for a legend, one per label, with one for dashed lines if the edge contact breaks `again` somewhere."""
+    """Handles for a legend: one per label, and dashes if `again`."""
     from matplotlib.lines import Line2D
 
     key = Line2D([], [], color=colours(ax).ink, linestyle="--", linewidth=0.8, label=AGAIN)
@@ -192,15 +192,15 @@ def handles_of(ax: Any, *, again: bool) -> list[Any]:
 
 
 def legend_above(ax: Any, handles: list[Any], *, most: int, **options: Any) -> None:
-    """Draw a small legend above the Axes, in as many columns, `most` at most, as do not press panels together."""
+    """Draw a small legend above the Axes, in at most `most` columns."""
     look = ABOVE | {"handles": handles, "fontsize": "small", "alignment": "left"} | options
-    for columns in range(most, 0, -1):
+    for columns in range(most, 0, -1):  # as many as do not press panels together
         if ax.legend(**look, ncols=columns).get_window_extent().width < WIDEST * ax.get_window_extent().width:
             return
 
 
 def label_decades(axis: "Axis") -> None:
-    """Label the decades of a logarithmic axis, up to five; and 2 and 5 times them where it has fewer than two."""
+    """Label decades of a logarithmic axis, or their parts if few."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     if axis.get_scale() != "log":

@@ -1,4 +1,4 @@
-"""The labelled dataset of a sweep, and how it is written: as CSV, NetCDF, JSON or a summary.
+"""The labelled dataset of a sweep, as CSV, NetCDF, JSON and text.
 
 It holds units, meanings of flags, the request, and what computed it. Rows are written as they are read, in constant memory.
 """
@@ -27,8 +27,8 @@ POINTS_READ = 1 << 18
 
 
 def labelled(request: Request, data: dict[str, Any], **about: Any) -> xr.Dataset:
-    """Make a dataset of arrays of the request's shape, with units; request, versions and `about` become attributes."""
-    variables = {name: xr.Variable(tuple(request.axes.sizes), data[name], _output(name)) for name in request.outputs}
+    """Label arrays of the request's shape; request, versions and `about` become attributes."""
+    variables = {name: xr.Variable(tuple(request.axes.sizes), data[name], about_output(name)) for name in request.outputs}
     attributes = {
         "title": "first precursor to sliding, slippulse_jax sweep",
         "source": "Braun & Scheibert, Tribology Letters (2014): the lattice model, and theory where an output says so",
@@ -38,7 +38,8 @@ def labelled(request: Request, data: dict[str, Any], **about: Any) -> xr.Dataset
     return xr.Dataset(variables, request.axes.coords, attributes | current_versions() | about)
 
 
-def _output(name: str) -> dict[str, Any]:
+def about_output(name: str) -> dict[str, Any]:
+    """Attributes of an output: meaning, unit, and what its flags stand for."""
     output = OUTPUTS[name]
     about: dict[str, Any] = {"long_name": output.long_name, "units": output.unit}
     if output.comment:
@@ -52,7 +53,7 @@ def _output(name: str) -> dict[str, Any]:
 
 @functools.cache
 def current_versions() -> dict[str, str]:
-    """Versions of the packages on which the last digits of a result depend."""
+    """Versions of the packages on which the last digits depend."""
     return {name: version(name) for name in ("slippulse_jax", "jax", "jaxlib")}
 
 
@@ -68,8 +69,8 @@ def processor() -> str:
 
 
 def computed_by(about: dict[str, Any] | None = None) -> str:
-    """Name the processor and the versions in the attributes of a sweep, or those of this process."""
-    about = about or current_versions() | {"processor": processor()}
+    """Name processor and versions of a sweep, or of this process."""
+    about = about or {"processor": processor()} | current_versions()
     return ", ".join([str(about["processor"]), *(f"{name} {about.get(name)}" for name in current_versions())])
 
 
@@ -77,7 +78,7 @@ def computed_by(about: dict[str, Any] | None = None) -> str:
 
 
 def write(found: xr.Dataset, path: Path) -> None:
-    """Write to ``.nc`` (with units, request and versions) or ``.csv``, atomically."""
+    """Write ``.nc``, with units, request and versions, or ``.csv``, atomically."""
     if path.suffix == ".nc":
         content = bytes(found.drop_encoding().to_netcdf(engine="h5netcdf"))
     else:
@@ -88,7 +89,7 @@ def write(found: xr.Dataset, path: Path) -> None:
 
 
 def write_csv(found: xr.Dataset, file: TextIO) -> None:
-    """Write one line per point, swept parameters and outputs; the last axis runs fastest."""
+    """Write swept parameters and outputs, the last axis running fastest."""
     columns = [*(name for name in found.coords if found[name].ndim), *found.data_vars]
     for number, part in enumerate(_pieces(found)):
         table = part.to_dataframe(dim_order=list(part.sizes)).reset_index()[columns]
@@ -104,7 +105,7 @@ def _pieces(found: Any) -> Iterator[Any]:
 
 
 def as_json(found: xr.Dataset, *, values: bool) -> dict[str, Any]:
-    """Request, axes, and either all values (null if not finite) or the range of each output."""
+    """Request, axes, and all values or the range of each output."""
     content: dict[str, Any] = {
         "points": math.prod(found.sizes.values()),
         "complete": bool(found.attrs["complete"]),
@@ -147,7 +148,7 @@ def _outcomes(column: xr.DataArray) -> str:
 
 
 def _range(column: xr.DataArray) -> tuple[float | None, float | None, int]:
-    """Smallest and largest finite value and number of values not finite, read piece by piece."""
+    """Smallest and largest finite value, and number of others, read in pieces."""
     ends, missing = [], 0
     for piece in _pieces(column):
         values = piece.values

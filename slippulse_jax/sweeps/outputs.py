@@ -1,4 +1,4 @@
-"""Outputs of a sweep: functions that compute them, the table that names the function of each, and the choice among them."""
+"""Outputs of a sweep: their functions, the table, and the choice."""
 
 import functools
 from collections.abc import Callable, Iterable
@@ -24,13 +24,13 @@ from slippulse_jax.status import Outcome
 from slippulse_jax.sweeps.request import INTERFACE, PARAMETERS, PUSH, SLIDER, Columns, Region, Request, shape_of
 
 Compute = Callable[[Request, Columns], Any]
-"""A function that computes the values of an output from the parameters of all points; or several outputs, by name."""
+"""Values of an output from the parameters of all points, or of several outputs by name."""
 
 # --- functions -----------------------------------------------------------------------------------------------------------
 
 
 def _by_delay(function: Callable[..., Any]) -> Compute:
-    """Evaluate ``function(slider, **options)`` for one repinning delay after another; each needs its own compiled program."""
+    """Evaluate a function for each repinning delay, by a program of its own."""
 
     def evaluated(request: Request, columns: Columns) -> Columns:
         options: dict[str, Any] = {"ends": Ends(request.right, request.sites), "max_contacts": request.max_contacts}
@@ -98,7 +98,7 @@ def _block(request: Request, columns: Columns) -> np.ndarray:
 
 
 def _formula(formula: Callable[[Slider, Array, Ends], Any]) -> Compute:
-    """Evaluate a formula by a program of its own, so that no bit depends on which other outputs are requested."""
+    """Evaluate a formula, whose bits do not depend on the other outputs."""
 
     @functools.cache
     def kernel(right: RightEnd, sites: int | None) -> Kernel:
@@ -154,7 +154,13 @@ class Output(NamedTuple):
 _INTERFACE = frozenset(INTERFACE)
 _FRONT = _INTERFACE | {"right"}
 _EXACT = _INTERFACE - {"repin_delay"}
-_FLAG = "1 where the approximation's own conditions hold: "
+_CONDITIONS = "the approximation's own conditions hold: "
+
+
+def _flag(long_name: str, function: Compute, condition: str, takes: frozenset[str] = frozenset()) -> Output:
+    """Output that is 1 where a condition holds."""
+    return Output(long_name, "1", function, takes, "int8", comment=f"1 where {condition}")
+
 
 OUTPUTS = {
     "length": Output("length of the first precursor", "lambda_c", _length, _FRONT),
@@ -195,34 +201,22 @@ OUTPUTS = {
     "slow_decay_length": Output(
         "decay length of the slow mode, 1/kappa_2", "lambda_c", _of_slider(attrgetter("slow_decay_length"))
     ),
-    "is_one_domino": Output(
+    "is_one_domino": _flag(
         "the event is one domino from the edge",
-        "1",
         _front,
+        "at least two contacts broke, the front arrested, and no contact behind it came back to its threshold",
         _FRONT,
-        "int8",
-        comment="1 where at least two contacts broke, the front arrested, and no contact behind it came back to its threshold",
     ),
-    "is_continuous": Output(
-        "the continuum applies",
-        "1",
-        _of_slider(_is_continuous),
-        dtype="int8",
-        comment=_FLAG + "kappa_1 lambda_c < 1/3 and H/lambda_c > 10",
+    "is_continuous": _flag(
+        "the continuum applies", _of_slider(_is_continuous), f"{_CONDITIONS}kappa_1 lambda_c < 1/3 and H/lambda_c > 10"
     ),
-    "is_frozen": Output(
+    "is_frozen": _flag(
         "the frozen upper layer applies",
-        "1",
         _of_slider(_is_frozen),
-        dtype="int8",
-        comment=_FLAG + "those of is_continuous, and kappa_T^2/kappa^2 < 0.1",
+        f"{_CONDITIONS}those of is_continuous, and kappa_T^2/kappa^2 < 0.1",
     ),
-    "is_far_from_edge": Output(
-        "Eq. (25) applies",
-        "1",
-        _of_slider(_is_far_from_edge),
-        dtype="int8",
-        comment=_FLAG + "those of is_frozen, and kappa times this length > 3",
+    "is_far_from_edge": _flag(
+        "Eq. (25) applies", _of_slider(_is_far_from_edge), f"{_CONDITIONS}those of is_frozen, and kappa times this length > 3"
     ),
 }
 """Every output, by name."""
@@ -232,11 +226,11 @@ SETS = {
     "theory": (*(name for name in OUTPUTS if name.startswith("length_")), "runaway_prestress"),
     "validity": ("is_one_domino", "is_continuous", "is_frozen", "is_far_from_edge"),
 }
-"""Names of sets of outputs; those that the request does not allow are left out."""
+"""Sets of outputs; those that the request does not allow are left out."""
 
 
 def choose(requested: str | Iterable[str], parameters: Iterable[str]) -> tuple[str, ...]:
-    """Resolve the names of outputs and sets, each output once, in the order requested.
+    """Resolve the names of outputs and sets, each once, in order.
 
     A ValueError names one that is unknown, or that does not depend on a parameter that was given.
     """
@@ -271,7 +265,7 @@ def _objection(name: str, given: set[str]) -> str:
 
 
 def evaluate(request: Request, region: Region) -> Columns:
-    """Compute the outputs of a region, in its shape; the bits of a point do not depend on the other points."""
+    """Compute the outputs of a region; no point depends on another."""
     columns, shape = request.columns(region), shape_of(region)
     found: Columns = {}
     for name in request.outputs:

@@ -88,7 +88,7 @@ class Request(NamedTuple):
         return {str(name): one.set_dims(part.sizes).values.ravel() for name, one in part.variables.items()}
 
     def describe(self) -> dict[str, Any]:
-        """The request for JSON; the values of the axes, which are coordinates of the result, by their digest."""
+        """The request for JSON; the values of the axes by their digest."""
         return {
             "parameters": {
                 name: {"size": one.size, "sha256": _digest(one.values)} if one.ndim else {"value": one.values.item()}
@@ -120,7 +120,7 @@ def shape_of(region: Region) -> tuple[int, ...]:
 
 
 def chunk_shape(shape: tuple[int, ...], points: int) -> tuple[int, ...]:
-    """Shape of chunks of at most `points` points: trailing axes whole as far as they fit, one axis in equal parts."""
+    """Shape of chunks of at most `points` points: trailing axes first."""
     sizes: list[int] = []
     for n in reversed(shape):
         sizes.insert(0, -(-n // -(-n // points)))  # as many parts as needed, all but the last of one size
@@ -129,13 +129,13 @@ def chunk_shape(shape: tuple[int, ...], points: int) -> tuple[int, ...]:
 
 
 def regions(shape: tuple[int, ...], points: int) -> list[Region]:
-    """Cut a shape into chunks of at most `points` points, the last axis running fastest."""
+    """Cut a shape into such chunks, the last axis running fastest."""
     steps = zip(shape, chunk_shape(shape, points), strict=True)
     return list(itertools.product(*([slice(a, min(a + step, n)) for a in range(0, n, step)] for n, step in steps)))
 
 
 def _with_interface(given: dict[str, Any], interface: Interface | None) -> dict[str, Any]:
-    """Add the numbers of `interface` to the parameters; an axis may replace one that is 0. Refuse a profile, and arrays."""
+    """Add the numbers of an interface; an axis may replace a 0."""
     check_bulk(interface)
     if interface is None:
         return given
@@ -158,9 +158,9 @@ def make_axes(
     contact_law: ContactLaw = "amontons",
     top: Top = "free",
 ) -> xr.Dataset:
-    """Check all parameters before anything is computed, and label them; None is one that is not given.
+    """Check all parameters before anything is computed, and label them.
 
-    A ValueError names the one that is missing, of more than one dimension, empty or outside its domain.
+    None is one that is not given. A ValueError names one that is missing, of more than one dimension, empty or out of domain.
     """
     given = _with_interface(given, interface)
     if missing := [name for name in SLIDER if given.get(name) is None]:

@@ -1,4 +1,4 @@
-"""Run a sweep: in memory or into a store, in this process or on a Dask cluster, or when its values are needed."""
+"""Run a sweep in memory or into a store, here, on a cluster, or lazily."""
 
 import functools
 import math
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     from distributed import Client
 
 OF_LENGTHS, OF_BLOCKS, OF_OTHERS = 1 << 20, 1 << 7, 1 << 14
-"""Points per chunk by default: of lengths by the recursion and other quick outputs, of blocks, and of anything between."""
+"""Points per chunk by default: of quick outputs, of blocks, and of all others."""
 
 TASKS, POINTS_PER_TASK = 256, 1 << 12
-"""Number of chunks into which Dask cuts a sweep without a store, and the fewest points of each."""
+"""Chunks of a sweep on Dask without a store, and fewest points of each."""
 
 QUICK = {"length", "contacts_broken", "status", "edge_stress", "is_one_domino", "nucleation_load", "b", "slow_decay_length"}
 """Outputs that take no longer than lengths."""
@@ -43,8 +43,8 @@ TIMEOUT = 10
 RETRIES = 2
 """Retries of a failed Dask task."""
 
-Done = tuple[Columns, set[str]]
-"""Values of a chunk, none if they went to a store, and what to warn of."""
+Done = tuple[Region, Columns, set[str]]
+"""A chunk, its values unless they went to a store, and what to warn of."""
 
 
 def sweep(
@@ -161,9 +161,9 @@ def sweep(
         return _lazily(request, most)
     if store is None:
         columns = {name: np.empty(request.shape, OUTPUTS[name].dtype) for name in request.outputs}
-        for region, found in _run(functools.partial(_compute, request, None), regions(request.shape, most), client, progress):
-            for name, values in found.items():
-                columns[name][region] = values
+        for region, values in _run(functools.partial(_compute, request, None), regions(request.shape, most), client, progress):
+            for name in request.outputs:
+                columns[name][region] = values[name]
         return labelled(request, columns, complete=1)
     url = os.fspath(store)
     resumed = is_store(url)
@@ -184,10 +184,10 @@ def sweep(
 
 
 def open_sweep(store: str | os.PathLike[str]) -> xr.Dataset:
-    """Open a stored sweep, finished or not, as a labelled dataset whose values are read on demand.
+    """Open a stored sweep, finished or not.
 
-    Points not yet computed are NaN (−1 in whole numbers), and the attribute ``complete`` is 0 then. ``xarray.open_zarr`` opens
-    it too, without the checks and without this package.
+    Values of the labelled dataset are read on demand. Points not yet computed are NaN (−1 in whole numbers), and the attribute
+    ``complete`` is 0 then. ``xarray.open_zarr`` opens it too, without the checks and without this package.
 
     Raises
     ------
@@ -200,14 +200,14 @@ def open_sweep(store: str | os.PathLike[str]) -> xr.Dataset:
 
 
 def default_chunk(request: Request, *, tasks: bool) -> int:
-    """Points per chunk: few files, but little lost if the process is killed; smaller for tasks in memory."""
+    """Points per chunk: few files, but little lost to a kill."""
     chunk = OF_LENGTHS if {*request.outputs} <= QUICK else OF_OTHERS
     chunk = OF_BLOCKS if "block_precursor_length" in request.outputs else chunk
     return min(chunk, max(POINTS_PER_TASK, -(-math.prod(request.shape) // TASKS))) if tasks else chunk
 
 
 def _check_options(request: Request, store: Any, chunk: int | None, share: Any, client: Any, lazy: bool) -> None:
-    """Check that the outputs suit the chain, and that the ways to compute them go together."""
+    """Check that outputs, chain, and options of computing go together."""
     for name in request.outputs:
         if request.right != "semi-infinite" and "right" not in OUTPUTS[name].takes:
             raise ValueError(f"output {name!r} is for a semi-infinite chain, not right = {request.right!r}")
@@ -227,7 +227,7 @@ def _check_options(request: Request, store: Any, chunk: int | None, share: Any, 
 
 
 def connected(address: str) -> "Client":
-    """Connect to a Dask scheduler; a ValueError if none answers, a ModuleNotFoundError without Dask."""
+    """Connect to a Dask scheduler; a ValueError if none answers."""
     try:
         from distributed import Client
     except ImportError:
@@ -241,13 +241,12 @@ def connected(address: str) -> "Client":
 def _run(
     compute: Callable[[Region], Done], chunks: list[Region], client: "Client | None", progress: bool | None
 ) -> Iterator[tuple[Region, Columns]]:
-    """Compute chunks here or on a cluster, with a progress bar and the time left; by default only on a terminal."""
-    here = ((region, compute(region)) for region in chunks)
+    """Compute chunks here or on a cluster, with warnings and a progress bar."""
     size = sum(math.prod(shape_of(region)) for region in chunks)
-    hidden = None if progress is None else not progress
+    hidden = None if progress is None else not progress  # by default it is shown on a terminal only
     said: set[str] = set()
     with tqdm(total=size, unit=" points", unit_scale=True, disable=hidden, desc="sweep") as bar:
-        for region, (columns, remarks) in here if client is None else _on_workers(client, compute, chunks):
+        for region, columns, remarks in map(compute, chunks) if client is None else _on_workers(client, compute, chunks):
             for remark in remarks - said:
                 warnings.warn(remark, RuntimeWarning, stacklevel=4)
             said |= remarks
@@ -256,10 +255,10 @@ def _run(
 
 
 def _compute(request: Request, store: tuple[dict[str, Any], dict[str, Any]] | None, region: Region) -> Done:
-    """Compute a chunk: return its values; or write them to a store, unless they are there and intact."""
+    """Compute a chunk, or fill it in a store: its attributes and arrays."""
     if store is None:
-        return evaluate(request, region), set()
-    return {}, fill(*store, region, lambda: evaluate(request, region))
+        return region, evaluate(request, region), set()
+    return region, {}, fill(*store, region, lambda: evaluate(request, region))
 
 
 @in_this_thread()
@@ -268,15 +267,14 @@ def _alone(region: Region, compute: Callable[[Region], Done]) -> Done:
     return compute(region)
 
 
-def _on_workers(client: "Client", compute: Callable[[Region], Done], chunks: list[Region]) -> Iterator[tuple[Region, Done]]:
-    """Compute chunks on the workers of a cluster, each on one thread, in the order in which they are done."""
+def _on_workers(client: "Client", compute: Callable[[Region], Done], chunks: list[Region]) -> Iterator[Done]:
+    """Compute chunks on a cluster, each on one thread, as they finish."""
     from distributed import as_completed
 
     futures = client.map(_alone, chunks, compute=compute, pure=False, retries=RETRIES)
-    places = {future.key: region for future, region in zip(futures, chunks, strict=True)}
     try:
-        for future, result in as_completed(futures, with_results=True):
-            yield places[future.key], result
+        for future, done in as_completed(futures, with_results=True):
+            yield done
             future.release()
     except BaseException:
         client.cancel(futures)
@@ -284,7 +282,7 @@ def _on_workers(client: "Client", compute: Callable[[Region], Done], chunks: lis
 
 
 def _lazily(request: Request, points: int) -> xr.Dataset:
-    """Make a dataset of dask arrays, in chunks of at most `points` points; outputs of one function are one task."""
+    """Make a dataset of dask arrays; outputs of one function are one task."""
     import dask.array as da
     from dask.array.core import normalize_chunks
 
@@ -303,7 +301,4 @@ def _lazily(request: Request, points: int) -> xr.Dataset:
 def _block(request: Request, dtype: np.dtype, block_info: Any = None) -> np.ndarray:
     """Compute one chunk for dask; one record per point."""
     region = tuple(slice(*ends) for ends in block_info[None]["array-location"])
-    records = np.empty(shape_of(region), dtype)
-    for name, values in evaluate(request, region).items():
-        records[name] = values
-    return records
+    return np.rec.fromarrays([*evaluate(request, region).values()], dtype)

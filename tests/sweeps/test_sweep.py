@@ -188,9 +188,9 @@ def test_an_address_is_taken_for_the_client_that_it_leads_to(monkeypatch):
 
 
 def test_a_sweep_with_a_client_shows_a_bar(monkeypatch, capsys):
-    monkeypatch.setattr(run, "_on_workers", lambda client, compute, chunks: ((one, compute(one)) for one in chunks))
+    monkeypatch.setattr(run, "_on_workers", lambda client, compute, chunks: map(compute, chunks))
     chunks = [(slice(0, 4),), (slice(4, 8),)]
-    assert len(list(run._run(lambda _: ({}, set()), chunks, object(), True))) == 2
+    assert len(list(run._run(lambda region: (region, {}, set()), chunks, object(), True))) == 2
     assert "sweep: 100%" in capsys.readouterr().err
 
 

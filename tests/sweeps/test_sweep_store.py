@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import fsspec
@@ -402,6 +403,24 @@ def test_stores_written_before_can_be_resumed():
     axes = make_axes(block, push_control="force")
     found = Request(axes, ("block_precursor_length",), "semi-infinite", None, 100, "force")
     assert found.digest == "ca82df03893576f670f6bf52794a4a0ef0ff7cb950bd8682743718e2cab0b443"
+
+
+@pytest.mark.ci
+def test_a_store_of_this_format_can_be_resumed(tmp_path):
+    """Kept from an earlier release: half of its chunks, and the manifest of then."""
+    given = {"height": [10.0, 25.0, 50.0], "stiffness": [0.003, 0.03], "poisson": 0.3, "outputs": ("length", "status")}
+    store = Path(shutil.copytree(Path(__file__).parent / "format2.zarr", tmp_path / "s"))
+    before = contents(store)
+    part, exact = sp.open_sweep(store), sp.sweep(**given)
+    assert part.attrs["complete"] == 0
+    np.testing.assert_array_equal(np.isnan(part.length).all("stiffness"), [False, True, False])
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".*and resumed on", RuntimeWarning)  # wherever this is not the machine of then
+        found = sp.sweep(**given, store=store).load()
+    assert found.attrs["complete"] == 1
+    assert {key: contents(store)[key] for key in before} == before
+    np.testing.assert_array_equal(found.status, exact.status)
+    np.testing.assert_allclose(found.length, exact.length, rtol=1e-12)
 
 
 def test_a_later_format_is_refused(reference, tmp_path):
