@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies.test_block import KINDS, at_b, whole
+from blocks.test_block import KINDS, at_b, whole
 from oracles.finite_elements import break_all
 
 import slippulse_jax as sp

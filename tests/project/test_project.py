@@ -38,9 +38,9 @@ LAYERS = {
 def imports(path):
     """Modules of the package that a file imports, anywhere in it."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
+    types_only = [one for one in tree.body if isinstance(one, ast.If) and "TYPE_CHECKING" in ast.unparse(one.test)]
+    tree.body = [one for one in tree.body if one not in types_only]
     for node in ast.walk(tree):
-        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
-            node.body.clear()  # types only
         names = (
             [node.module]
             if isinstance(node, ast.ImportFrom)
