@@ -13,10 +13,20 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.choices import ContactLaw, Control, Top
-from slippulse_jax.domains import FRICTION, HEIGHT, NORMAL_STIFFNESS, POISSON, STIFFNESS, Domain, check_choice, check_kind
+from slippulse_jax.domains import (
+    FRICTION,
+    HEIGHT,
+    MACHINE,
+    NORMAL_STIFFNESS,
+    POISSON,
+    STIFFNESS,
+    Domain,
+    check_choice,
+    check_kind,
+)
 from slippulse_jax.shown import html, in_a_line, short
 from slippulse_jax.slider import Real, Slider, from_si
-from slippulse_jax.units import Numbers, as_float, quantity_field
+from slippulse_jax.units import Numbers, as_float, machine_ratio, quantity_field
 
 if TYPE_CHECKING:
     from slippulse_jax.events.first import Relaxed
@@ -163,6 +173,10 @@ class Block(eqx.Module):
         surfaces in contact, which then break at a constant displacement.
     top : {"free", "held"}
         Whether the top is free under a dead load, or held level and at its height (u_y = 0 once pressed).
+    machine : float, optional
+        M/K, the stiffness of the machine over the width of the block and E; > 0. The machine stays where it is while an event
+        runs, and displaces the pusher through that spring; loads are then its displacement. Without it, and at inf, the
+        displacement of the pusher is imposed.
 
     Raises
     ------
@@ -180,6 +194,7 @@ class Block(eqx.Module):
     friction: Float[Real, ""] | None = None
     contact_law: ContactLaw = eqx.field(default="amontons", static=True)
     top: Top = eqx.field(default="free", static=True)
+    machine: Float[Real, ""] | None = None
 
     def __init__(
         self,
@@ -193,11 +208,12 @@ class Block(eqx.Module):
         friction: Numbers | None = None,
         contact_law: ContactLaw = "amontons",
         top: Top = "free",
+        machine: Numbers | None = None,
     ) -> None:
         self.height, self.stiffness, self.poisson = as_float(height), as_float(stiffness), as_float(poisson)
         self.push, self.plane, self.contact_law, self.top = push, plane, contact_law, top
         self.length, self.friction = _whole_or_none(length), _float_or_none(friction)
-        self.normal_stiffness = _finite_or_none(normal_stiffness)
+        self.normal_stiffness, self.machine = _finite_or_none(normal_stiffness), _finite_or_none(machine)
         if friction is not None and self.normal_stiffness is None:
             self.normal_stiffness = as_float(USUAL_NORMAL_STIFFNESS if normal_stiffness is None else RIGID)
 
@@ -208,7 +224,7 @@ class Block(eqx.Module):
             raise ValueError(f"Block.contact_law = {self.contact_law!r}: says what follows the pressure: give friction too")
         check_kind("Block.push", self.push, Push)
         domains = {"height": HEIGHT, "stiffness": STIFFNESS, "poisson": POISSON, "normal_stiffness": NORMAL_STIFFNESS}
-        domains["friction"] = FRICTION
+        domains |= {"friction": FRICTION, "machine": MACHINE}
         for name, domain in domains.items():
             value = getattr(self, name)
             if value is None:
@@ -216,6 +232,9 @@ class Block(eqx.Module):
             domain.check(f"Block.{name}", value)
             if np.shape(value):
                 raise ValueError(f"Block.{name} has shape {np.shape(value)}: one block at a time; use jax.vmap")
+        if self.machine is not None and (self.push.control == "force" or self.contact_law == "multicontact"):
+            other = "push.control = 'force'" if self.push.control == "force" else "contact_law = 'multicontact'"
+            raise ValueError(f"Block.machine beside {other}: a machine displaces the pusher of contacts of one stiffness")
         if self.plane == "strain" and not isinstance(self.poisson, Tracer) and np.any(self.poisson == 0.5):
             raise ValueError("Block.poisson = 0.5: an incompressible block has no plane strain here; take 0.499")
 
@@ -237,6 +256,7 @@ class Block(eqx.Module):
         friction: Real | None = None,
         contact_law: ContactLaw = "amontons",
         top: Top = "free",
+        machine_stiffness: Real | None = None,
     ) -> "Block":
         """Block from material constants in SI units.
 
@@ -252,6 +272,8 @@ class Block(eqx.Module):
             As for `Push` and `Block`.
         length : float, optional
             L, in m; rounded to whole contacts.
+        machine_stiffness : float, optional
+            Stiffness of the machine over the width of the block, in N/m².
         """
         given = {"push_height": push_height, "push_width": push_width, "length": length}
         lengths, stiffness = from_si(
@@ -267,7 +289,8 @@ class Block(eqx.Module):
             *(lengths[name] / height for name in ("push_height", "push_width") if name in lengths), control=push_control
         )
         whole = None if length is None else np.rint(lengths["length"])
-        return cls(height, stiffness, poisson, push, plane, whole, normal_stiffness, friction, contact_law, top)
+        machine = None if machine_stiffness is None else machine_ratio(machine_stiffness, young)
+        return cls(height, stiffness, poisson, push, plane, whole, normal_stiffness, friction, contact_law, top, machine)
 
     def __repr__(self) -> str:
         return in_a_line(self)
@@ -285,6 +308,8 @@ class Block(eqx.Module):
         ]
         if self.friction is not None:
             rows.append(("friction coefficient, μ", f"{short(self.friction)}, {self.contact_law}, top {self.top}"))
+        if self.machine is not None:
+            rows.append(("stiffness of the machine, M/K", short(self.machine)))
         return html(f"Block (plane {self.plane})", rows)
 
     @property

@@ -350,7 +350,7 @@ def _check_of_block(interface: Contacts, **given: Any) -> None:
     usual = {"right": "semi-infinite", "max_contacts": DEFAULT_MAX_CONTACTS}
     for name, value in given.items():
         if value is not None and value != usual.get(name):
-            raise ValueError(f"{name} = {value!r}: not an option of a block; a free end is its length")
+            raise ValueError(f"{name} = {value!r}: not an option of a block, which has its own: Block(…, length=…, machine=…)")
     if interface is not None and interface.repin_delay:
         raise ValueError(f"interface.repin_delay = {interface.repin_delay}: contacts of a block repin at once")
 

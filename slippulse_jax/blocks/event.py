@@ -26,7 +26,7 @@ from slippulse_jax.blocks.pressed import pressed
 from slippulse_jax.bodies.response import of_matrix
 from slippulse_jax.bulk.double import in_double
 from slippulse_jax.derivatives import by_forward_mode, with_gradient, with_jacobian
-from slippulse_jax.domains import FRICTION, NORMAL_STIFFNESS
+from slippulse_jax.domains import FRICTION, MACHINE, NORMAL_STIFFNESS
 from slippulse_jax.events.first import Relaxed, ended, first_event, length_from, nucleated, smooth_length
 from slippulse_jax.front.front import EventKind, in_domain
 from slippulse_jax.interface import Interface, Profile
@@ -101,15 +101,15 @@ def contacts_of(
     else:
         body = pressed(guide, k, sites, jnp.asarray(block.normal_stiffness), jnp.asarray(block.friction))
         response = of_matrix(body.matrix[:sites, None, :sites], body.push[None, :sites], body.edge_stiffness)
+    if block.machine is not None:
+        response = response.through(block.machine, k)
     threshold, prestress = jnp.ones_like(response.soft), jnp.zeros_like(response.soft)
     site = jnp.arange(sites, dtype=threshold.dtype)
     if interface is not None:
         threshold, prestress = (x.astype(threshold.dtype) for x in (interface.threshold_at(site), interface.prestress_at(site)))
     valid = in_domain(block)
-    if block.normal_stiffness is not None:
-        valid = valid & NORMAL_STIFFNESS.holds(block.normal_stiffness)
-    if block.friction is not None:
-        valid = valid & FRICTION.holds(block.friction)
+    for value, domain in ((block.normal_stiffness, NORMAL_STIFFNESS), (block.friction, FRICTION), (block.machine, MACHINE)):
+        valid = valid if value is None else valid & domain.holds(value)
     return Relaxed(response, threshold, prestress, k, last, valid, pressed=body, alike=not isinstance(interface, Profile))
 
 
@@ -198,7 +198,11 @@ def fields(block: Block, load: Array, pinning: Float[Array, " N"]) -> BlockField
 @jax.jit
 def _fields(block: Block, load: Array, pinning: Float[Array, " N"], guide: Guide | None = None) -> BlockFields:
     guide, y = guide_of(block) if guide is None else guide, elements.heights(block)
-    found = waveguide.columns(guide, jnp.asarray(block.stiffness), load, pinning)
+    k = jnp.asarray(block.stiffness)
+    if block.machine is not None:  # the pusher is where its spring and the block are in balance
+        held = waveguide.response(guide, k, pinning.size)
+        load = (block.machine * load + k * (held.push[0] @ pinning)) / (block.machine + held.edge_stiffness)
+    found = waveguide.columns(guide, k, load, pinning)
     every = jnp.zeros((found.shape[0], 2 * y.size), y.dtype).at[:, elements.freedoms(block, y.size)].set(found)
     return BlockFields(jnp.arange(found.shape[0], dtype=y.dtype), y, every[:, 0::2], every[:, 1::2])
 

@@ -55,6 +55,16 @@ class Response(NamedTuple):
     edge_stiffness: Float[Array, ""]  # force on the pusher per load, in K
     far: Far | None = None  # between several blocks
 
+    def through(self, spring: Any, stiffness: Any) -> "Response":
+        """Response of a matrix body of contacts of this stiffness k whose pusher is pulled through a spring, both in K.
+
+        The load is then that of the far end of the spring.
+        """
+        spring, push = jnp.asarray(spring), self.push
+        whole = spring + self.edge_stiffness
+        near = self.near + (stiffness / whole * push[0][:, None, None] * push[None])[None]  # a break lets the pusher move
+        return self._replace(near=near, push=push * spring / whole, edge_stiffness=self.edge_stiffness * spring / whole)
+
     def column(self, site: Int[Array, ""]) -> Float[Array, "r N"]:
         """Readings of every contact per stress released at one, its own pinning point apart."""
         size, count = self.near.shape[1], self.soft.size

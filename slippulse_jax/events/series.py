@@ -155,7 +155,7 @@ def series(
             raise ValueError(f"{given}: that is for a block; a chain has its own contacts")
         sites = body.sites
     else:
-        sites = _sites_of_block(body, interface, sites)
+        sites = _sites_of_block(body, interface, sites, protocol)
     check_whole("events", events, 1)
     check_whole("recorded_breaks", recorded_breaks, 0)
     check_whole("repin_delay", repin_delay, 0)
@@ -174,10 +174,12 @@ def series(
         return run_series(shape, body, interface, loading)
 
 
-def _sites_of_block(block: Block, interface: Interface | Profile | None, sites: int | None) -> int:
+def _sites_of_block(block: Block, interface: Interface | Profile | None, sites: int | None, protocol: Protocol) -> int:
     """Number of contacts resolved of a block."""
     if block.push.control != "displacement":
         raise ValueError("push.control = 'force': the pusher of a series is displaced; pull it through a soft Spring instead")
+    if block.machine is not None and isinstance(protocol, Spring):
+        raise ValueError("a machine and protocol = Spring(…): they are one spring, give one of them")
     if interface is not None and interface.repin_delay:
         raise ValueError(f"interface.repin_delay = {interface.repin_delay}: give the delay to series, as repin_delay")
     if sites is None and block.sites is None:
@@ -225,7 +227,7 @@ def of_matrix_body(shape: Shape, body: Relaxed, loading: Loading) -> Catalogue:
     """
     response, threshold, k, sites = body.response, body.threshold, body.stiffness, shape[-1]
     if isinstance(loading.protocol, Spring):
-        response = through(loading.protocol.stiffness, response, k)
+        response = response.through(loading.protocol.stiffness, k)
     there = jnp.arange(threshold.size) < sites
     prestress = jnp.where(there, body.prestress, 0)
     sound = jnp.isfinite(response.near[:, :, 0]).all() & ((threshold > prestress) & (threshold > 0) | ~there).all()
@@ -246,14 +248,6 @@ def of_matrix_body(shape: Shape, body: Relaxed, loading: Loading) -> Catalogue:
         unbroken = jnp.full_like(prestress, jnp.inf)
         afresh = body.pressed.balance(unbroken, prestress, response.soft * end.released, u).stretch[:sites]
     return _catalogue(body, end, state, afresh, stored)
-
-
-def through(spring: AnyArrayLike, response: Response, k: Array | float) -> Response:
-    """Response of a matrix body whose pusher is pulled through a spring, in K; the load is then that of the driver."""
-    spring, push = jnp.asarray(spring), response.push
-    whole = spring + response.edge_stiffness
-    near = response.near + (k / whole * push[0][:, None, None] * push[None])[None]  # a break lets the pusher move
-    return response._replace(near=near, push=push * spring / whole, edge_stiffness=response.edge_stiffness * spring / whole)
 
 
 _hard_series = without_derivative(

@@ -17,7 +17,7 @@ from slippulse_jax.blocks import elements, size
 from slippulse_jax.blocks import event as blocks
 from slippulse_jax.blocks import guide as waveguide
 from slippulse_jax.bodies.modes import ends_of, lattice_modes
-from slippulse_jax.events.first import Relaxed, first_event, smooth_length
+from slippulse_jax.events.first import Relaxed, first_event, length_of, smooth_length
 from slippulse_jax.events.series import Adiabatic, Loading, Spring, Steps, of_matrix_body
 from slippulse_jax.rules import HARD
 from slippulse_jax.status import Outcome
@@ -698,7 +698,10 @@ def test_fields_in_the_block_are_those_the_contacts_read():
             r"sites = 64: a block of 80 contacts needs",
         ),
         (lambda: sp.precursor_length(sp.Block(5.0, 0.1, 0.3, length=9000)), r"reaches beyond 8192 contacts"),
-        (lambda: sp.precursor_length(sp.Block(5.0, 0.1, 0.3), right="free"), r"right = 'free'.* a free end is its length"),
+        (
+            lambda: sp.precursor_length(sp.Block(5.0, 0.1, 0.3), right="free"),
+            r"right = 'free'.*which has its own: Block\(…, length",
+        ),
         (lambda: sp.Block(5.0, 0.1, 0.5, plane="strain"), r"Block.poisson = 0.5: an incompressible block"),
         (
             lambda: sp.Block.from_material(**MATERIAL | {"young": 0}, push_height=5e-3),
@@ -764,6 +767,52 @@ def test_a_series_of_the_slider_as_a_waveguide(protocol):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-9, atol=1e-11, err_msg=name)
     np.testing.assert_allclose(found.state.pinning, expected.state.pinning, atol=1e-11)
     assert max(found.drift, found.energy_drift) < 1e-12
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("machine", [0.05, 0.7, 30.0])
+def test_a_machine_on_the_slider_as_a_waveguide(machine):
+    """The first front of contacts whose pusher gives way is that of the slider pushed through the same spring."""
+    slider = sp.Slider(10.0, 0.03, 0.3)
+    held, k, one = waveguide.response(slider_guide(slider), slider.stiffness, 96), jnp.asarray(slider.stiffness), jnp.ones(96)
+    body = Relaxed(held.through(machine, k), one, 0 * one, k, 95, alike=True)
+    length, _, status = length_of(body, "domino")
+    assert status == Outcome.ARRESTED
+    assert float(length) == pytest.approx(float(sp.precursor_length(slider, machine=machine)), rel=1e-10)
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("friction", [None, 0.2])
+def test_a_block_pushed_through_a_machine(friction):
+    """It is the first event of a series through that spring; its pusher is in balance; a stiff machine is none."""
+    block = sp.Block(12.0, 0.03, 0.3, sp.Push(0.3), length=48, friction=friction)
+    soft = eqx.tree_at(lambda x: x.machine, block, jnp.asarray(0.2), is_leaf=lambda x: x is None)
+    found, series = sp.first_precursor(soft, event="full"), sp.series(block, Spring(0.2), events=1)
+    assert found.length == pytest.approx(float(series.length[0]), rel=1e-12)
+    assert found.load == pytest.approx(float(series.load[0]), rel=1e-12)
+    assert found.length > 1.02 * sp.precursor_length(block, event="full")  # the spring goes on pushing
+    # what the machine pulls with is what the contacts carry
+    for pinning, stress in ((0 * found.pinning, found.stress_before), (found.pinning, found.stress)):
+        pusher = blocks.fields(soft, found.load, pinning).horizontal[0].max()  # the part of the side that moves as one
+        force = 0.2 * (found.load - pusher)
+        assert force == pytest.approx(float(block.stiffness * stress.sum()), rel=1e-9)
+    stiff = sp.Block(12.0, 0.03, 0.3, sp.Push(0.3), length=48, friction=friction, machine=1e9)
+    assert sp.precursor_length(stiff) == pytest.approx(float(sp.precursor_length(block)), rel=1e-6)
+    assert sp.Block(12.0, 0.03, 0.3, machine=np.inf).machine is None
+
+    def length(machine):
+        return sp.precursor_length(sp.Block(12.0, 0.03, 0.3, sp.Push(0.3), length=48, friction=friction, machine=machine))
+
+    slope, step = jax.grad(length)(0.2), 1e-6
+    assert slope == pytest.approx(float(length(0.2 + step) - length(0.2 - step)) / (2 * step), rel=1e-5)
+
+
+@pytest.mark.slow
+def test_a_tall_block_pushed_through_a_machine_is_followed_on_larger_contacts():
+    """M/K belongs to the body, whatever its contacts."""
+    block = sp.Block(350.0, 1 / (2.6 * 350), 0.3, sp.Push(0.25), machine=0.5)
+    found, off = map(float, size.tall_length(block, None, "full"))
+    assert found == pytest.approx(float(sp.precursor_length(block, sites=2048, event="full")), abs=max(off, 0.002 * found))
 
 
 @pytest.mark.ci
