@@ -57,13 +57,15 @@ def checked(
     """
     front, wanted = front_of(m, event, body), [Parameter(one) if isinstance(one, str) else one for one in wanted]
     chosen = with_names(m, wanted)
+    names = [one.name for one in chosen]
     for one in chosen:
-        _check_meaning(m, one, [other.name for other in chosen])
+        _check_meaning(m, one, names)
     _check_complete(m, chosen)
-    front.check(m, {one.name for one in chosen})
-    for name in {one.name for one in chosen} & stated_errors(m, front).keys():
-        error = "the measurements state its error: give it a prior there, or leave it out here"
-        raise ValueError(f"{name} is to be fitted, and {error}")
+    front.check(m, {*names})
+    for name in stated_errors(m, front):
+        if name in names:
+            error = "the measurements state its error: give it a prior there, or leave it out here"
+            raise ValueError(f"{name} is to be fitted, and {error}")
     q = parameter_set(m, wanted, front=front)
     _check_domain(m, q)
     _check_reached(m, q)
@@ -208,8 +210,9 @@ def _exchanged(m: Measurements, wanted: Sequence[Parameter]) -> Iterator[str]:
         return
     height, length = m.heading("height"), m.heading("length")
     may_be = [f"are {height} and {length} exchanged"] * bool(LIKELY.holds(1 / over))
-    for name, own, likely in (("height", height, Domain(over / 1.2, over / 0.02, "")), ("length", length, LIKELY)):
-        unit = COLUMNS[name].likely_unit(1.0 if name == "height" else over, own, likely) if m.in_si else ""
+    factors = Domain(over / LIKELY.high, over / LIKELY.low, "")  # on the heights
+    for name, own, value, likely in (("height", height, 1.0, factors), ("length", length, over, LIKELY)):
+        unit = COLUMNS[name].likely_unit(value, own, likely) if m.in_si else ""
         may_be += [f"is {own} in {unit}"] * bool(unit)
     if may_be:
         yield f"the lengths are about {over:.3g} times the heights: {', or '.join(may_be)}?"
