@@ -152,12 +152,12 @@ def fit(
     _check_scaled(problem, scaled)
     _check_calibrated(problem, intervals, scaled)
     counts = allowed_by_counts(problem) if problem.only_counts and not problem.parameters.front.interpolated else None
-    held, at_odds = counts or ([], None)
+    ranges, at_odds = counts or ([], None)
     between = None if scaled or counts else between_contacts(problem, seed)
     if between is not None:
         problem = problem.widened(between)
-    if held:
-        found = _of_counts(problem, held)
+    if ranges:
+        found = _of_counts(problem, ranges)
     else:
         with _progress(problem) as shown:
             if scaled:
@@ -167,7 +167,7 @@ def fit(
     limits = {level: found.deviance + rise_of(level, dof=found.scatter_dof) for level in LEVELS}
     profiled = {j: allowed(problem, j, curve, limits) for j, curve in found.curves.items()}
     if counts is not None:
-        profiled = {0: dict.fromkeys(LEVELS, held)}
+        profiled = {0: dict.fromkeys(LEVELS, ranges)}
     simulated: dict[int, tuple[Intervals, tuple[float, float]]] = {}
     if counts is None and not scaled and to_be_simulated(problem, intervals, found, profiled):
         with _progress(problem) as shown:
@@ -257,9 +257,9 @@ def _check_calibrated(problem: Problem, intervals: str, scaled: bool) -> None:
         raise ValueError("calibrated intervals: for one or two parameters, and values with Gaussian errors")
 
 
-def _of_counts(problem: Problem, held: list[Interval]) -> Found:
+def _of_counts(problem: Problem, ranges: list[Interval]) -> Found:
     """Put a root in every range that counts allow, softest first."""
-    middle = np.array([[(piece.low + piece.high) / 2] for piece in held])
+    middle = np.array([[(piece.low + piece.high) / 2] for piece in ranges])
     value = 2 * problem(middle).value
     minima = [describe(problem, point, float(v)) for point, v in zip(middle, value, strict=True)]
     curve = profile(problem, 0, minima, middle, grid_of(problem))
