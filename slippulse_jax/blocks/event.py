@@ -201,7 +201,8 @@ def _fields(block: Block, load: Array, pinning: Float[Array, " N"], guide: Guide
     k = jnp.asarray(block.stiffness)
     if block.machine is not None:  # the pusher is where its spring and the block are in balance
         held = waveguide.response(guide, k, pinning.size)
-        load = (block.machine * load + k * (held.push[0] @ pinning)) / (block.machine + held.edge_stiffness)
+        machine = jnp.asarray(block.machine)
+        load = (machine * load + k * (held.push[0] @ pinning)) / (machine + held.edge_stiffness)
     found = waveguide.columns(guide, k, load, pinning)
     every = jnp.zeros((found.shape[0], 2 * y.size), y.dtype).at[:, elements.freedoms(block, y.size)].set(found)
     return BlockFields(jnp.arange(found.shape[0], dtype=y.dtype), y, every[:, 0::2], every[:, 1::2])

@@ -32,7 +32,6 @@ from slippulse_jax.inference.measurements import Measurements, MeasurementWarnin
 from slippulse_jax.inference.parameters import (
     STIFFNESSES,
     Parameter,
-    attainable,
     wanted_parameters,
     with_errors_of_measuring,
 )
@@ -172,7 +171,7 @@ def fit(
     if counts is None and not scaled and to_be_simulated(problem, intervals, found, profiled):
         with _progress(problem) as shown:
             simulated = calibrated(shown, LEVELS, curves=found.curves, seed=seed)
-    longest, longest_at = attainable(problem.parameters, found.theta)
+    longest, longest_at = problem.parameters.attainable(found.theta)
     # counts at odds are named; the search of such a misfit need not converge
     unconverged = [] if counts else [start for start in found.unconverged if start[0] <= limits[LEVELS[-1]]]
     found = found._replace(

@@ -128,7 +128,7 @@ class Front:
 
         `relaxed` says that prestress and slope are zero for certain.
         """
-        return from_table(self, inputs)
+        return self._from_table(inputs)
 
     def in_rows(self, inputs: Inputs, relaxed: bool, highest: np.ndarray) -> Float[Array, " m"]:
         """`length` of every row; `highest` is the largest ln H/λc of each."""
@@ -140,7 +140,60 @@ class Front:
 
     def evaluate(self, inputs: Inputs, along: Along = None) -> Prediction:
         """Lengths of many lanes, and their derivatives along a line; of the table unless there is a better."""
-        return Prediction(self.values(inputs)) if along is None else by_differences(self, inputs, along)
+        return Prediction(self.values(inputs)) if along is None else self._by_differences(inputs, along)
+
+    def _by_differences(self, inputs: Inputs, along: np.ndarray) -> Prediction:
+        """Values of a table, or of a closed form without kinks, and their central differences along a line."""
+        table, every = inputs.table(), {**COMMON, **self.inputs}
+        steps = np.array([every[name].step for name in inputs.names])
+        steps = steps * np.where(np.array(inputs.names) == "threshold_slope", np.exp(-table[:, :1]), 1.0)
+        moves = (along != 0).any(axis=1)
+        reach = 1 / np.where(moves, np.max(np.abs(along) / steps, axis=1), 1)  # the largest step is that of its input
+        low, high = (np.array([every[name].domain[i] for name in inputs.names]) for i in (0, 1))
+        with np.errstate(invalid="ignore"):  # inf − inf of blocks without end, and where nothing stops
+            places = [np.where(along != 0, np.clip(table + k * reach[:, None] * along, low, high), table) for k in (0, 1, -1)]
+            rows, own = distinct_rows(np.concatenate(places))
+            value, *sides = self.values(Inputs.from_table(inputs.names, rows))[own].reshape(3, -1)
+            # next to where nothing stops, and at the side of a domain, one side counts
+            there = [np.isfinite(x) & (place != table).any(axis=1) for x, place in zip(sides, places[1:], strict=True)]
+            up, down = (np.where(known, x, value) for x, known in zip(sides, there, strict=True))
+            slope = (up - down) / (np.maximum(sum(there), 1) * reach)
+            bend = (up - 2 * value + down) / reach**2 * (there[0] & there[1])
+        stops = np.isfinite(value) & moves
+        return Prediction(value, np.where(stops, slope, 0), np.where(stops, bend, 0))
+
+    def _from_table(self, inputs: Inputs) -> Array:
+        """Length from a table as a JAX function, which calls it back; with first derivatives in forward mode."""
+        names = inputs.names
+
+        def called(of: Callable[..., np.ndarray | None], *lanes: Array) -> Array:
+            dtype = lanes[0].dtype
+            words = (dtype.itemsize // 4,)[: dtype.itemsize > 4]  # in a thread of XLA's, JAX would round what is double
+
+            def on_host(*lanes: Any) -> np.ndarray:
+                given = [np.ascontiguousarray(x).view(dtype).reshape(*x.shape[: x.ndim - len(words)]) for x in lanes]
+                rows, *along = (x.reshape(-1, len(names)).astype(float) for x in given)
+                found = np.asarray(of(Inputs.from_table(names, rows), *along), dtype)
+                return found.view(np.uint32).reshape(*given[0].shape[:-1], *words)
+
+            bits = [lax.bitcast_convert_type(x, jnp.uint32) for x in lanes]
+            found = jax.pure_callback(on_host, jax.ShapeDtypeStruct(words, jnp.uint32), *bits, vmap_method="broadcast_all")
+            return lax.bitcast_convert_type(found, dtype)
+
+        @jax.custom_jvp
+        def length(lane: Array) -> Array:
+            return called(self.lengths, lane)
+
+        @length.defjvp
+        def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:  # pyright: ignore[reportUnusedFunction]
+            return length(*primals), slope(*primals, *tangents)
+
+        slope = without_derivative(
+            lambda lane, along: called(lambda at, way: self.evaluate(at, way).slope, lane, along),
+            "the length of a whole event comes from a table, which has first derivatives only",
+        )
+
+        return length(jnp.stack([jnp.asarray(inputs.get(name)) for name in names]))
 
     def status(self, inputs: Inputs) -> np.ndarray:
         """`Outcome` of each front, by the recursion that breaks its contacts one by one; shape (L,)."""
@@ -636,61 +689,6 @@ def _jets(function: Any, front: Front, names: tuple[str, ...], slopes: bool, rel
         return jnp.stack([value(zero), *(jax.jvp(slope, (zero,), (zero + 1,)) if slopes else ())])
 
     return lambda lanes: (jax.vmap(one, in_axes=1, out_axes=-1)(lanes),)
-
-
-def by_differences(front: Front, inputs: Inputs, along: np.ndarray) -> Prediction:
-    """Values of a table, or of a closed form without kinks, and their central differences along a line."""
-    table, every = inputs.table(), {**COMMON, **front.inputs}
-    steps = np.array([every[name].step for name in inputs.names])
-    steps = steps * np.where(np.array(inputs.names) == "threshold_slope", np.exp(-table[:, :1]), 1.0)
-    moves = (along != 0).any(axis=1)
-    reach = 1 / np.where(moves, np.max(np.abs(along) / steps, axis=1), 1)  # the largest step is that of its input
-    low, high = (np.array([every[name].domain[i] for name in inputs.names]) for i in (0, 1))
-    with np.errstate(invalid="ignore"):  # inf − inf of blocks without end, and where nothing stops
-        places = [np.where(along != 0, np.clip(table + k * reach[:, None] * along, low, high), table) for k in (0, 1, -1)]
-        rows, own = distinct_rows(np.concatenate(places))
-        value, *sides = front.values(Inputs.from_table(inputs.names, rows))[own].reshape(3, -1)
-        # next to where nothing stops, and at the side of a domain, one side counts
-        there = [np.isfinite(x) & (place != table).any(axis=1) for x, place in zip(sides, places[1:], strict=True)]
-        up, down = (np.where(known, x, value) for x, known in zip(sides, there, strict=True))
-        slope = (up - down) / (np.maximum(sum(there), 1) * reach)
-        bend = (up - 2 * value + down) / reach**2 * (there[0] & there[1])
-    stops = np.isfinite(value) & moves
-    return Prediction(value, np.where(stops, slope, 0), np.where(stops, bend, 0))
-
-
-def from_table(front: Front, inputs: Inputs) -> Array:
-    """Length from a table as a JAX function, which calls it back; with first derivatives in forward mode."""
-    names = inputs.names
-
-    def called(of: Callable[..., np.ndarray | None], *lanes: Array) -> Array:
-        dtype = lanes[0].dtype
-        words = (dtype.itemsize // 4,)[: dtype.itemsize > 4]  # in a thread of XLA's, JAX would round what is double
-
-        def on_host(*lanes: Any) -> np.ndarray:
-            given = [np.ascontiguousarray(x).view(dtype).reshape(*x.shape[: x.ndim - len(words)]) for x in lanes]
-            rows, *along = (x.reshape(-1, len(names)).astype(float) for x in given)
-            found = np.asarray(of(Inputs.from_table(names, rows), *along), dtype)
-            return found.view(np.uint32).reshape(*given[0].shape[:-1], *words)
-
-        bits = [lax.bitcast_convert_type(x, jnp.uint32) for x in lanes]
-        found = jax.pure_callback(on_host, jax.ShapeDtypeStruct(words, jnp.uint32), *bits, vmap_method="broadcast_all")
-        return lax.bitcast_convert_type(found, dtype)
-
-    @jax.custom_jvp
-    def length(lane: Array) -> Array:
-        return called(front.lengths, lane)
-
-    @length.defjvp
-    def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:  # pyright: ignore[reportUnusedFunction]
-        return length(*primals), slope(*primals, *tangents)
-
-    slope = without_derivative(
-        lambda lane, along: called(lambda at, way: front.evaluate(at, way).slope, lane, along),
-        "the length of a whole event comes from a table, which has first derivatives only",
-    )
-
-    return length(jnp.stack([jnp.asarray(inputs.get(name)) for name in names]))
 
 
 def lane_fields(inputs: Inputs, along: Inputs, relaxed: bool, numpy: Any) -> tuple[Any, Any]:

@@ -189,6 +189,27 @@ class ParameterSet:
         """Inputs, shape (…, n), at θ of shape (…, p)."""
         return self.inputs.at(theta)
 
+    def longest(self, theta: np.ndarray, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
+        """Longest lengths of linear inputs, in true λc without offset, and the k/K where."""
+        at = inputs.at(theta)
+        low, high = np.array(at.log_stiffness), np.array(at.log_stiffness)
+        for i, one in enumerate(self.free):
+            if one.name in STIFFNESSES:
+                on = inputs.log_stiffness.slope[:, i] != 0
+                low[on], high[on] = (at.log_stiffness[on] + end - theta[i] for end in (one.low, one.high))
+        distinct, own = distinct_rows(np.column_stack([at.table(), low, high]))
+        given = Inputs.from_table(at.names, distinct[:, :-2])
+        longest, where = self.front.longest(given, distinct[:, -2], distinct[:, -1])
+        return longest[own], np.exp(where[own])
+
+    def attainable(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Longest length of each measurement, in λc, and the k/K where; shapes (n,).
+
+        At any stiffness searched; the other parameters stay as in `theta`.
+        """
+        longest, where = self.longest(theta, self.inputs)
+        return longest * np.exp(self.scales["length"](theta)) + self.scales["offset"](theta), where
+
     def common_ratio(self, theta: np.ndarray) -> float | None:
         """k/K at θ where one is fitted for all measurements."""
         fitted = any("stiffness" in one.label for one in self.free if not one.nuisance)
@@ -432,29 +453,6 @@ def stiffness_name(m: Measurements) -> str:
 def with_names(m: Measurements, wanted: Iterable[Parameter]) -> list[Parameter]:
     """Name the stiffness as these measurements determine it."""
     return [replace(one, name=stiffness_name(m)) if one.name == "stiffness" else one for one in wanted]
-
-
-def attainable(parameters: ParameterSet, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Longest length of each measurement, in λc, and the k/K where.
-
-    At any stiffness searched; shapes (n,). The other parameters stay as in `theta`.
-    """
-    longest, where = attainable_of(parameters, theta, parameters.inputs)
-    return longest * np.exp(parameters.scales["length"](theta)) + parameters.scales["offset"](theta), where
-
-
-def attainable_of(parameters: ParameterSet, theta: np.ndarray, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
-    """Longest lengths of linear inputs, in true λc without offset."""
-    at = inputs.at(theta)
-    low, high = np.array(at.log_stiffness), np.array(at.log_stiffness)
-    for i, one in enumerate(parameters.free):
-        if one.name in STIFFNESSES:
-            on = inputs.log_stiffness.slope[:, i] != 0
-            low[on], high[on] = (at.log_stiffness[on] + end - theta[i] for end in (one.low, one.high))
-    distinct, own = distinct_rows(np.column_stack([at.table(), low, high]))
-    given = Inputs.from_table(at.names, distinct[:, :-2])
-    longest, where = parameters.front.longest(given, distinct[:, -2], distinct[:, -1])
-    return longest[own], np.exp(where[own])
 
 
 def wanted_parameters(free: Any, bounds: tuple[float, float] | None, fixed: Mapping[str, float] | None) -> list[Parameter]:

@@ -11,7 +11,7 @@ from scipy.special import ndtri
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.intervals import LEVELS
 from slippulse_jax.inference.observables import predicted as of_observable
-from slippulse_jax.inference.parameters import Linear, attainable_of
+from slippulse_jax.inference.parameters import Linear
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result import FitResult
@@ -54,7 +54,7 @@ class LengthCurve:
     def longest(self) -> np.ndarray:
         """Longest length at any stiffness searched, else as fitted; (n,)."""
         theta = self.result.theta
-        longest, _ = attainable_of(self.result.parameters, theta, self.inputs)
+        longest, _ = self.result.parameters.longest(theta, self.inputs)
         return longest * np.exp(self.scale(theta)) + self.offset(theta)
 
     @functools.cached_property

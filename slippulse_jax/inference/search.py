@@ -15,7 +15,7 @@ import numpy as np
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.likelihood import EXPECTED, Problem, terms
 from slippulse_jax.inference.minimise import Convergence, Method, descend, minimise
-from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet, attainable_of
+from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet
 
 SCANNED = 3
 """Largest number of fitted parameters whose range is scanned by a grid."""
@@ -367,7 +367,7 @@ def _tops(problem: Problem) -> np.ndarray:
     if len(first) > CROWDED or q.free[0].name not in STIFFNESSES:
         return np.empty(0)
     theta, inputs = q.low, q.inputs.take(data.measurement[first])
-    _, ratio = attainable_of(q, theta, inputs)
+    _, ratio = q.longest(theta, inputs)
     return np.unique(np.log(ratio) - inputs.log_stiffness(theta) + theta[0])
 
 
