@@ -27,7 +27,9 @@ from slippulse_jax.bodies.modes import (
     equilibrium_fields,
     lattice_modes,
 )
+from slippulse_jax.bulk.double import in_double
 from slippulse_jax.domains import check_kind, check_single, check_whole
+from slippulse_jax.events import first
 from slippulse_jax.front import delayed, front
 from slippulse_jax.front.arrest import (
     arrest,
@@ -134,9 +136,10 @@ def precursor_length(
     Parameters
     ----------
     slider : Slider or Block
-        One slider or a batch; ℓ has its shape. Or one block, whose events are any contacts in any order, the most overloaded
-        next, and end at the rightmost; `sites` is then the number of contacts resolved, at least those of a block with a
-        `length`, which under ``jit`` and ``vmap`` must be given, and derivatives are those at a fixed order of breaks.
+        One slider or a batch; ℓ has its shape. Or one block, or a body of one's own (docs/howto/body.md), whose events are any
+        contacts in any order, the most overloaded next, and end at the rightmost; `sites` is then the number of contacts
+        resolved, at least those of a block with a `length`, which under ``jit`` and ``vmap`` must be given, and derivatives are
+        those at a fixed order of breaks.
     interface : Interface or Profile, optional
         Prestress, thresholds and repinning; the paper's own (relaxed, uniform, immediate) by default. An `Interface`
         broadcasts with the slider; a `Profile` belongs to one slider.
@@ -194,15 +197,19 @@ def precursor_length(
     >>> print(f"{float(length):.3f} λc")
     25.789 λc
     """
-    check_kind("slider", slider, Slider, Block)
+    if not hasattr(slider, "contacts"):
+        check_kind("slider", slider, Slider, Block)
     check_kind("interface", interface, Interface, Profile, NoneType)
     check_event(event)
-    if isinstance(slider, Block):
+    if not isinstance(slider, Slider):
         _check_of_block(interface, right=right, machine=machine, max_contacts=max_contacts)
         check_rule(rule, one=True)
         if event == "full" and not isinstance(rule, HardBreak):
             raise ValueError("event = 'full': under a smooth rule a front passes each contact once, so there is no other event")
-        return size.precursor_length(slider, interface, sites, rule, event)
+        if isinstance(slider, Block):
+            return size.precursor_length(slider, interface, sites, rule, event)
+        check_whole("sites", sites, 2)
+        return in_double(partial(first.length, sites=sites, kind=event))(slider, interface, rule)
     if event == "full":
         return _whole(slider, interface, rule, ends_of(right, sites, machine), max_contacts)
     ends = ends_of(right, sites, machine)

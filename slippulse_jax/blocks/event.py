@@ -25,12 +25,10 @@ from slippulse_jax.blocks.guide import Edge, Guide, Slab
 from slippulse_jax.blocks.pressed import pressed
 from slippulse_jax.bodies.response import of_matrix
 from slippulse_jax.bulk.double import in_double
-from slippulse_jax.derivatives import by_forward_mode, with_gradient, with_jacobian
 from slippulse_jax.domains import FRICTION, MACHINE, NORMAL_STIFFNESS
-from slippulse_jax.events.first import Relaxed, ended, first_event, length_from, nucleated, smooth_length
+from slippulse_jax.events.first import Relaxed, ended, first_event, nucleated
 from slippulse_jax.front.front import EventKind, in_domain
 from slippulse_jax.interface import Interface, Profile
-from slippulse_jax.rules import HARD, BreakRule, HardBreak
 from slippulse_jax.shown import in_a_line
 from slippulse_jax.status import Outcome
 
@@ -149,26 +147,6 @@ def with_friction(body: Relaxed, friction: Array) -> Relaxed:
         return body._replace(pressed=body.pressed._replace(friction=friction))
     near, push = (x.at[..., 1:, :].multiply(friction) for x in (body.response.near, body.response.push))
     return body._replace(response=body.response._replace(near=near, push=push))
-
-
-@partial(jax.jit, static_argnames=("sites", "kind"))
-def length(
-    block: Block, interface: Interface | Profile | None, rule: BreakRule = HARD, *, sites: int, kind: EventKind
-) -> Float[Array, ""]:
-    """ℓ of one block; under the hard rule with derivatives at a fixed order of breaks."""
-    given, tree = jax.tree.flatten((block, interface, rule))
-    types = [x.dtype for x in given]
-
-    def one(*numbers: Array) -> Array:
-        here = [x.astype(dtype) for x, dtype in zip(numbers, types, strict=True)]
-        block, interface, rule = jax.tree.unflatten(tree, here)
-        body = contacts_of(block, interface, sites)
-        if not isinstance(rule, HardBreak):
-            return smooth_length(body, rule)
-        return length_from(nucleated(body), body, kind)
-
-    first = with_gradient if isinstance(rule, HardBreak) else with_jacobian
-    return by_forward_mode(one, first)(*(x.astype(float) for x in given))  # whole numbers too: the rule joins all tangents
 
 
 class BlockFields(NamedTuple):

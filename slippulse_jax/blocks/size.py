@@ -28,6 +28,7 @@ from slippulse_jax.blocks.event import BlockPrecursor
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
 from slippulse_jax.bulk.double import IN_DOUBLE, as_type, in_double, is_traced
 from slippulse_jax.derivatives import by_forward_mode
+from slippulse_jax.events import first
 from slippulse_jax.events.event import MORE_SITES
 from slippulse_jax.events.first import length_of
 from slippulse_jax.front.front import EventKind
@@ -125,7 +126,7 @@ def _length(
     smooth = not isinstance(rule, HardBreak)
     if not smooth and not isinstance(interface, Profile) and _is_tall(block, sites):
         return tall_length(block, interface, kind)[0]
-    found = _resolved((block, interface, rule), sites, partial(blocks.length, kind=kind))
+    found = _resolved((block, interface, rule), sites, partial(first.length, kind=kind))
     if smooth and not isinstance(found, Tracer) and np.isnan(found):
         begins = int(_resolved((block, interface), sites, partial(blocks.record, kind=kind)).nucleation)
         raise ValueError(f"rule = {rule!r}: a smooth front runs from the edge, and this event begins at contact {begins}")
@@ -198,7 +199,7 @@ def tall_length(block: Block, interface: Interface | None, kind: EventKind) -> t
         raise NotFollowed(
             block, "becomes ever longer on ever finer contacts" if grows else f"reaches beyond {sites / height:.2g} heights"
         )
-    on = partial(blocks.length, sites=int(sites), kind=kind)
+    on = partial(first.length, sites=int(sites), kind=kind)
     if height == one[0].height:
         found = on(block, interface)
         return found, jnp.zeros_like(found)

@@ -16,10 +16,11 @@ from slippulse_jax.bodies.chain import Chain, chain, eliminate
 from slippulse_jax.bodies.equilibrium import all_numbers
 from slippulse_jax.bodies.modes import RightEnd
 from slippulse_jax.bodies.response import Response, of_chain
+from slippulse_jax.derivatives import by_forward_mode, with_gradient, with_jacobian
 from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, Event, event, overload, rises
 from slippulse_jax.front.front import FADED, EventKind, Front, first_of, follow, length_or_reason
 from slippulse_jax.interface import Interface, Profile
-from slippulse_jax.rules import BreakRule
+from slippulse_jax.rules import HARD, BreakRule, HardBreak
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
@@ -232,3 +233,23 @@ def smooth_length(contacts: Relaxed, rule: BreakRule) -> Float[Array, ""]:
     _, _, part, length = follow(rule, release(at_edge, 1, start.readings[0, 0]), ahead, release, last)
     valid = contacts.valid & (start.first == 0) & rule.in_domain()
     return length_or_reason(first_of({Outcome.INVALID: ~valid, Outcome.RAN_THROUGH: part > FADED}), length)
+
+
+@partial(jax.jit, static_argnames=("sites", "kind"))
+def length(
+    body: Any, interface: Interface | Profile | None, rule: BreakRule = HARD, *, sites: int, kind: EventKind
+) -> Float[Array, ""]:
+    """ℓ of a body that has ``contacts``; under the hard rule with derivatives at a fixed order of breaks."""
+    given, tree = jax.tree.flatten((body, interface, rule))
+    types = [x.dtype for x in given]
+
+    def one(*numbers: Array) -> Array:
+        here = [x.astype(dtype) for x, dtype in zip(numbers, types, strict=True)]
+        body, interface, rule = jax.tree.unflatten(tree, here)
+        contacts = body.contacts(interface, sites)
+        if not isinstance(rule, HardBreak):
+            return smooth_length(contacts, rule)
+        return length_from(nucleated(contacts), contacts, kind)
+
+    first = with_gradient if isinstance(rule, HardBreak) else with_jacobian
+    return by_forward_mode(one, first)(*(x.astype(float) for x in given))  # whole numbers too: the rule joins all tangents

@@ -37,6 +37,7 @@ from slippulse_jax.events.catalogue import Catalogue, EventClass
 from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, event, most, overload, rises
 from slippulse_jax.events.first import Relaxed, contacts_of_chain
 from slippulse_jax.interface import Interface, Profile
+from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
 
@@ -110,7 +111,7 @@ def series(
     ----------
     body : Chain or Block
         A chain with linear contacts, whose thresholds and prestress may have any profile. Or a block whose pusher is displaced;
-        "the left edge" of what follows is then its pusher.
+        "the left edge" of what follows is then its pusher. Or a body of one's own (docs/howto/body.md), with `sites`.
     protocol : Adiabatic, Steps or Spring
     events : int
         Number of events, and of rows in the catalogue.
@@ -146,7 +147,8 @@ def series(
     TypeError
         If `protocol` is not a protocol, or if the series is differentiated: a comparison decides which contact breaks next.
     """
-    check_kind("body", body, Chain, Block)
+    if isinstance(body, Slider) or not hasattr(body, "contacts"):
+        check_kind("body", body, Chain, Block)
     check_kind("interface", interface, Interface, Profile, NoneType)
     if isinstance(body, Chain):
         check_linear(body, "a series")
@@ -154,8 +156,11 @@ def series(
             given = f"sites = {sites}" if interface is None else f"interface = {interface!r}"
             raise ValueError(f"{given}: that is for a block; a chain has its own contacts")
         sites = body.sites
-    else:
+    elif isinstance(body, Block):
         sites = _sites_of_block(body, interface, sites, protocol)
+    else:
+        check_whole("sites", sites, 2)
+        assert sites is not None
     check_whole("events", events, 1)
     check_whole("recorded_breaks", recorded_breaks, 0)
     check_whole("repin_delay", repin_delay, 0)
@@ -217,14 +222,15 @@ def _of_chain(shape: Shape, chain: Chain, resp: Response, floating: Array, loadi
 
 
 def _resolved(shape: Shape, body: Any, interface: Interface | Profile | None, loading: Loading) -> Catalogue:
-    return of_matrix_body(shape, body.contacts(interface, 1 << (shape[-1] - 1).bit_length()), loading)
+    sites = shape[-1]
+    # of a block, which says itself where it ends, a power of two, so that similar ones share a program
+    return of_matrix_body(
+        shape, body.contacts(interface, 1 << (sites - 1).bit_length() if isinstance(body, Block) else sites), loading
+    )
 
 
 def of_matrix_body(shape: Shape, body: Relaxed, loading: Loading) -> Catalogue:
-    """Series of the first contacts of a body whose response is a matrix; a spring to the driver makes the pusher give way.
-
-    The matrix is of a power of two of contacts.
-    """
+    """Series of the first contacts of a body whose response is a matrix; a spring to the driver makes the pusher give way."""
     response, threshold, k, sites = body.response, body.threshold, body.stiffness, shape[-1]
     if isinstance(loading.protocol, Spring):
         response = response.through(loading.protocol.stiffness, k)

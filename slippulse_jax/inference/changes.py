@@ -153,7 +153,7 @@ def _moves(result: "FitResult", m: Measurements) -> dict[str, tuple[float]]:
 def _refitted(result: "FitResult", m: Measurements) -> tuple[np.ndarray, float]:
     """θ and deviance of the first minimum nearby, for other measurements."""
     q = result.parameters
-    other = parameter_set(m, q.wanted, q.front.event, q.front.body, front=q.front)
+    other = parameter_set(m, q.wanted, front=q.front)
     starts = np.array([result.theta, *(root.theta for root in result.minima)])
     problem = make_problem(m, other, result.problem.loss, _sigma(result, m))
     found = search(problem, method="lm", max_steps=MOST_STEPS, seed=0, extra=starts)
@@ -300,7 +300,7 @@ def _of_bodies(result: "FitResult") -> Iterator[Change]:
             what = "k_n/k of {:g} or {:g}, for {:g} (column normal_stiffness states it)".format(*NORMAL, USUAL_NORMAL_STIFFNESS)
             sprung = [dataclasses.replace(m, normal_stiffness=np.full(len(m), ratio)) for ratio in NORMAL]
             yield _again(result, "normal_stiffness", what, sprung, stiff, front=BlockEvent(*sprung))
-    if q.front.event != "crack":  # not studied for crack-like fronts
+    if q.front.event in ("domino", "full"):  # not studied for others
         ends = tuple(-math.log1p(-share) for share in SCATTERING)
         what = "thresholds that scatter by 5 % between contacts (found for sliders of b = 0.3 to 3)"
         yield Change("threshold", what, dict.fromkeys(stiff, ends))
@@ -464,7 +464,7 @@ def _in_python(one: Parameter) -> str:
 def _with(result: "FitResult", wanted: list[Parameter]) -> tuple[float, int]:
     """Least deviance with these parameters, and how many more they are."""
     m, front = result.measurements, result.parameters.front
-    q = parameter_set(m, wanted, front.event, front.body, front=front)
+    q = parameter_set(m, wanted, front=front)
     problem = make_problem(m, q, result.problem.loss, result.sigma)
     value = minimise(problem, _starts(result, q), q.low, q.high, max_steps=MOST_STEPS).value
     return 2 * float(value.min()), problem.p - result.problem.p

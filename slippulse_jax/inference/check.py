@@ -12,7 +12,7 @@ import numpy as np
 from slippulse_jax.domains import Domain
 from slippulse_jax.inference.choices import Body, MeasuredEvent
 from slippulse_jax.inference.columns import COLUMNS, IN_LC, NUMERIC, MeasurementError
-from slippulse_jax.inference.fronts import STIFFEST, WholeEvent, front_for, front_of
+from slippulse_jax.inference.fronts import STIFFEST, Front, WholeEvent, front_for, front_of
 from slippulse_jax.inference.inputs import COMMON, Inputs
 from slippulse_jax.inference.measurements import Measurements, MeasurementWarning
 from slippulse_jax.inference.parameters import (
@@ -47,7 +47,7 @@ LENGTHENED = 5.0
 def checked(
     m: Measurements,
     wanted: Iterable[str | Parameter],
-    event: MeasuredEvent | None = None,
+    event: MeasuredEvent | Front | None = None,
     body: Body | None = None,
 ) -> ParameterSet:
     """Check the parameters of a fit, and map them to inputs.
@@ -61,6 +61,8 @@ def checked(
     for one in chosen:
         _check_meaning(m, one, names)
     _check_complete(m, chosen)
+    if missing := [name for name in front.columns if name not in m.other]:
+        raise ValueError(f"{m.source}: the model reads the column {missing[0]}, which is not there")
     front.check(m, {*names})
     for name in stated_errors(m, front):
         if name in names:

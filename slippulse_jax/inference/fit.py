@@ -15,6 +15,7 @@ from slippulse_jax.domains import check_choice, check_whole
 from slippulse_jax.inference import record
 from slippulse_jax.inference.check import checked, suspicions
 from slippulse_jax.inference.choices import Body, IntervalsBy, Loss, MeasuredEvent, Method, Sigma
+from slippulse_jax.inference.fronts import Front
 from slippulse_jax.inference.intervals import (
     LEVELS,
     Interval,
@@ -72,7 +73,7 @@ def fit(
     max_steps: int = 60,
     seed: int = 0,
     intervals: IntervalsBy = "auto",
-    event: MeasuredEvent | None = None,
+    event: MeasuredEvent | Front | None = None,
     body: Body | None = None,
 ) -> FitResult:
     """Fit the interface to measured first precursors.
@@ -111,11 +112,11 @@ def fit(
         Rises of the deviance from χ²; or from measurements simulated at every value, which keep their coverage near the
         longest attainable length too (`slippulse_jax.inference.intervals`; one or two parameters, plain lengths). By default
         simulated where valleys of the deviance compete, or its shape is far from a parabola.
-    event : {"domino", "full", "crack"}
+    event : {"domino", "full", "crack"} or Front
         What was measured: the first front; or the whole event, in which contacts may break again where the areal stiffness is
         large (`rebreaking_onset`), with a cost that grows with it (docs/fit/use.md), for lengths without gauges; or the front
         of a crack, behind which contacts slide at a "friction" that is fitted or held (docs/model/crack.md). By default
-        "domino" of a slider and "full" of a block.
+        "domino" of a slider and "full" of a block. Or a model of one's own, a `Front` (docs/howto/model.md).
     body : {"slider", "block"}
         The paper's slider; or a block under two-dimensional elasticity, pushed where `measurements` say (docs/model/block.md):
         taken by default where they say so for every line.

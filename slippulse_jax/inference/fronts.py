@@ -2,7 +2,7 @@
 
 A model is `length`, a JAX function of the inputs of one measurement, or a table of `values` that were computed before, such as
 those of whole events and blocks. From it come lengths and derivatives of many lanes at once (`evaluate`), which a compiled
-kernel may compute. A new model is a new class here, which `front_of` chooses.
+kernel may compute. A new model is a new class: one here, which `front_of` chooses, or one of a user, given as ``event``.
 """
 
 import functools
@@ -93,9 +93,10 @@ class Regime(NamedTuple):
 class Front:
     """A model of a measured length."""
 
-    event: ClassVar[MeasuredEvent] = "domino"
+    event: ClassVar[Any] = "own"  # a `MeasuredEvent`, of the models here
     body: ClassVar[Body] = "slider"
     inputs: ClassVar[Mapping[str, Input]] = {}  # beside those of every model
+    columns: ClassVar[Collection[str]] = ()  # that it reads from `Measurements.other`
     interpolated: ClassVar[bool] = False  # whether its lengths are interpolated, so that no count holds or fails for certain
     most_off: ClassVar[float] = 0.0  # largest `uncertainty` of a length, in λc
 
@@ -140,6 +141,8 @@ class Front:
 
     def evaluate(self, inputs: Inputs, along: Along = None) -> Prediction:
         """Lengths of many lanes, and their derivatives along a line; of the table unless there is a better."""
+        if type(self).values is Front.values:
+            return by_jax(type(self).length, self, inputs, along)
         return Prediction(self.values(inputs)) if along is None else self._by_differences(inputs, along)
 
     def _by_differences(self, inputs: Inputs, along: np.ndarray) -> Prediction:
@@ -196,11 +199,12 @@ class Front:
         return length(jnp.stack([jnp.asarray(inputs.get(name)) for name in names]))
 
     def status(self, inputs: Inputs) -> np.ndarray:
-        """`Outcome` of each front, by the recursion that breaks its contacts one by one; shape (L,)."""
-        distinct, own = distinct_rows(inputs.table())
-        at = Inputs.from_table(inputs.names, distinct)
-        slider, interface, ends = recursion_inputs(at, is_relaxed(at))
-        return np.asarray(arrests(slider, interface, ends=ends).status)[own]
+        """`Outcome` of each, by its length."""
+        found = self.lengths(inputs)
+        ends = np.isfinite(inputs.get("log_sites")) if "log_sites" in inputs.names else np.zeros(found.shape, bool)
+        endless = np.isinf(found)
+        kinds = {Outcome.RAN_THROUGH: endless & ends, Outcome.RUN_AWAY: endless, Outcome.ARRESTED: found > 0}
+        return np.select(list(kinds.values()), list(kinds), Outcome.NO_DOMINO)
 
     def breaks_again(self, inputs: Inputs) -> np.ndarray:
         """Whether the edge contact would break again before the front stops, which the model leaves out; shape (L,)."""
@@ -254,6 +258,7 @@ ENDED = ("log_sites", "log_machine")
 class FirstFront(Front):
     """The first front of a slider, which may end, or be pushed through a spring, by the recursion."""
 
+    event = "domino"
     inputs = {
         "log_sites": Input("L/λc", np.log(2.0), np.inf, "must be at least 2"),
         "log_machine": Input("M/K", np.log(1e-30), np.inf, "must be positive"),
@@ -310,6 +315,13 @@ class FirstFront(Front):
         at, _ = lane_fields(inputs, inputs, relaxed, jnp)
         value = _by_loop(most, right, at)
         return jnp.where(jnp.isnan(value) | (value > most if most < DEFAULT_MAX_CONTACTS else False), jnp.inf, value)
+
+    def status(self, inputs: Inputs) -> np.ndarray:
+        """`Outcome` of each front, by the recursion that breaks its contacts one by one; shape (L,)."""
+        distinct, own = distinct_rows(inputs.table())
+        at = Inputs.from_table(inputs.names, distinct)
+        slider, interface, ends = recursion_inputs(at, is_relaxed(at))
+        return np.asarray(arrests(slider, interface, ends=ends).status)[own]
 
     def values(self, inputs: Inputs) -> np.ndarray:
         """Lengths alone: of fronts without end that run far in closed form, which is ℓ to rounding there."""
@@ -382,14 +394,14 @@ class WholeEvent(Front):
         "the length of an event steps where the order of its breaks changes, and is interpolated, which changes it by"
     )
 
+    def __init__(self, *_: Measurements) -> None:
+        self.ratios = Grid(SPACING, _over_front)
+
     def check(self, m: Measurements, names: Collection[str]) -> None:
         """Refuse gauges and ends, which need the model of one front."""
         super().check(m, names)
         if m.gauges is not None or m.block_length is not None or m.machine_stiffness is not None:
             raise ValueError("event = 'full': gauges, block_length and machine_stiffness need the model of one front")
-
-    def __init__(self, *_: Measurements) -> None:
-        self.ratios = Grid(SPACING, _over_front)
 
     def values(self, inputs: Inputs) -> np.ndarray:
         """ℓ times `over_front`."""
@@ -401,6 +413,10 @@ class WholeEvent(Front):
             where = ", ".join(f"{x:.9g}" for x in lanes[:, np.argmax(np.isnan(found))])
             raise NotConverged(f"the event was given up at (H/λc, k/K, ν, φ, ε) = ({where}): give narrower bounds")
         return found
+
+    def status(self, inputs: Inputs) -> np.ndarray:
+        """`Outcome` of the front, with which the event begins."""
+        return FirstFront().status(inputs)
 
     def over_front(self, lanes: Float[np.ndarray, "5 n"]) -> Float[np.ndarray, " n"]:
         """ℓ over that of the front at (H/λc, k/K, ν, φ, ε), along straight lines between nodes; NaN where all were given up."""
@@ -468,10 +484,6 @@ class CrackFront(Front):
     def length(self, inputs: Inputs, relaxed: bool) -> Array:
         """Length of one crack-like front, in λc."""
         return crack.length(sliders(inputs, jnp.exp), inputs.get("friction"), inputs.prestress)[0]
-
-    def evaluate(self, inputs: Inputs, along: Along = None) -> Prediction:
-        """Lengths and derivatives by JAX."""
-        return by_jax(CrackFront.length, self, inputs, along)
 
     def status(self, inputs: Inputs) -> np.ndarray:
         """Outcome of each crack-like front."""
@@ -562,14 +574,6 @@ class BlockEvent(Front):
         """Interpolated ℓ in λc."""
         return self.followed(inputs)[0]
 
-    def status(self, inputs: Inputs) -> np.ndarray:
-        """`Outcome` of each event, by its length."""
-        found = self.lengths(inputs)
-        ends = np.isfinite(inputs.get("log_sites")) if "log_sites" in inputs.names else np.zeros(found.shape, bool)
-        endless = np.isinf(found)
-        kinds = {Outcome.RAN_THROUGH: endless & ends, Outcome.RUN_AWAY: endless, Outcome.ARRESTED: found > 0}
-        return np.select(list(kinds.values()), list(kinds), Outcome.NO_DOMINO)
-
     def uncertainty(self, inputs: Inputs) -> np.ndarray | None:
         """How far each length may be off, as coarser blocks show, and next to where it falls."""
         return self.followed(inputs)[1]
@@ -602,12 +606,14 @@ def front_for(body: Body, event: MeasuredEvent, *tables: Measurements) -> Front:
     return model(*tables) if model.interpolated else _shared(model)  # whose compiled programs all fits share
 
 
-def front_of(m: Measurements, event: MeasuredEvent | None = None, body: Body | None = None) -> Front:
+def front_of(m: Measurements, event: MeasuredEvent | Front | None = None, body: Body | None = None) -> Front:
     """Choose the model of the measured lengths; a ValueError if there is none for this event and body.
 
     By default a block and its whole event where every measurement states how its side is pushed, unless the event is one of
     sliders only; else a slider and its first front.
     """
+    if isinstance(event, Front):
+        return event
     if event is not None:
         check_choice("event", event, MeasuredEvent)
     if body is not None:

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from slippulse_jax.domains import check_choice
 from slippulse_jax.inference.check import checked
 from slippulse_jax.inference.choices import Body, Loss, MeasuredEvent
+from slippulse_jax.inference.fronts import Front
 from slippulse_jax.inference.likelihood import Problem, make_problem
 from slippulse_jax.inference.measurements import Measurements, measurements_of
 from slippulse_jax.inference.parameters import Parameter, wanted_parameters, with_errors_of_measuring
@@ -82,7 +83,7 @@ def objective(
     bounds: tuple[float, float] | None = None,
     fixed: Mapping[str, float] | None = None,
     loss: Loss = "normal",
-    event: MeasuredEvent | None = None,
+    event: MeasuredEvent | Front | None = None,
     body: Body | None = None,
 ) -> Objective:
     """Return the function that `fit` minimises.

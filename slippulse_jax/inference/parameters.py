@@ -267,7 +267,7 @@ elasticity that is pushed over all but the lowest quarter of its side. Other pus
 def parameter_set(
     m: Measurements,
     wanted: Iterable[str | Parameter],
-    event: MeasuredEvent | None = None,
+    event: MeasuredEvent | Front | None = None,
     body: Body | None = None,
     *,
     front: Front | None = None,

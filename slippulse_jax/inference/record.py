@@ -19,6 +19,7 @@ from slippulse_jax.inference.changes import Change
 from slippulse_jax.inference.check import checked, suspicions
 from slippulse_jax.inference.choices import Loss
 from slippulse_jax.inference.columns import GAUGE_COLUMNS, NUMERIC
+from slippulse_jax.inference.fronts import Front
 from slippulse_jax.inference.likelihood import make_problem
 from slippulse_jax.inference.measurements import Gauges, Measurements
 from slippulse_jax.inference.parameters import Parameter, with_errors_of_measuring
@@ -280,6 +281,8 @@ def as_request(request: dict[str, Any]) -> dict[str, Any]:
         one.name: {field.name: x for field in settable if (x := getattr(one, field.name)) is not field.default}
         for one in request["free"]
     }
+    if isinstance(request.get("event"), Front):
+        raise ValueError("event is a model of one's own, which no file can hold: keep the table, and fit it again")
     settings = {key: value for key, value in request.items() if key != "free" and value is not None}
     return plain({"parameters": free, **settings})
 

@@ -646,8 +646,8 @@ def notes(result: "FitResult") -> list[str]:
 
 def _of_data(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
     m, p = result.measurements, result.problem.p
-    if m.other:
-        yield f"columns kept but not used: {', '.join(m.other)}"
+    if unused := [name for name in m.other if name not in result.parameters.front.columns]:
+        yield f"columns kept but not used: {', '.join(unused)}"
     for table in filter(None, (m, m.gauges)):
         if skipped := table.skipped:
             which = ", ".join(map(str, skipped[:20])) + ", …" * (len(skipped) > 20)

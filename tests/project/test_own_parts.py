@@ -1,0 +1,131 @@
+"""What a stranger adds in one file, and no other: a body, a model of a length, a column. A rule is in `front/test_own_rule`."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import slippulse_jax as sp
+from slippulse_jax.bodies.response import of_matrix
+from slippulse_jax.events.first import Relaxed
+from slippulse_jax.inference.fronts import Front
+from slippulse_jax.inference.inputs import Input
+from slippulse_jax.status import Outcome
+
+# --- a body ---------------------------------------------------------------------------------------------------------------
+
+SITES = 80
+
+
+class TwoRows(eqx.Module):
+    """Two rows of springs on contacts, solved as a matrix: with the springs of a slider, it is one."""
+
+    upper: jax.Array
+    across: jax.Array
+    stiffness: jax.Array
+
+    def contacts(self, interface, sites):
+        one, side = jnp.eye(sites), jnp.eye(sites, k=1)
+        along = 2 * one - side - side.T - jnp.diag(one[0] + one[-1])
+        of_upper, of_layer = self.upper * along + self.across * one, along + (self.across + self.stiffness) * one
+        matrix = jnp.block([[of_upper, -self.across * one], [-self.across * one, of_layer]])
+        given = jnp.linalg.inv(matrix[1:, 1:])
+        pushed, layer = -given @ matrix[1:, 0], slice(sites - 1, None)
+        near, edge = self.stiffness * given[layer, layer][:, None], matrix[0, 0] + matrix[0, 1:] @ pushed
+        site = jnp.arange(sites) * 1.0
+        carried = jnp.zeros(sites) if interface is None else interface.prestress_at(site)
+        return Relaxed(of_matrix(near, pushed[None, layer], edge), jnp.ones(sites), carried, self.stiffness, alike=True)
+
+
+def two_rows(slider):
+    return TwoRows(*(jnp.asarray(x) for x in (slider.K_L, slider.K_T, slider.stiffness)))
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("prestress", [0.0, 0.15])
+def test_a_body_of_ones_own_is_taken_by_the_doors(prestress):
+    """Lengths, their derivatives, and a series are those of the slider whose springs it has."""
+    slider, interface = sp.Slider(25.0, 0.03, 0.3), sp.Interface(prestress)
+
+    def length(stiffness):
+        rows = two_rows(sp.Slider(25.0, 0.03, 0.3))
+        return sp.precursor_length(eqx.tree_at(lambda x: x.stiffness, rows, stiffness), interface, sites=SITES)
+
+    def expected(stiffness):
+        return sp.precursor_length(sp.Slider(25.0, stiffness, 0.3), interface, right="free", sites=SITES)
+
+    at = jnp.asarray(0.03)
+    assert length(at) == pytest.approx(float(expected(at)), rel=1e-8)
+    assert jax.grad(length)(at) == pytest.approx(float(jax.grad(expected)(at)), rel=1e-5)
+    found = sp.series(two_rows(slider), interface=interface, events=6, sites=SITES)
+    chain = sp.series(sp.chain(slider, sites=SITES, interface=interface, right="free"), events=6)
+    for name in ("load", "force_before", "force_after", "length", "site", "extent", "breaks"):
+        np.testing.assert_allclose(getattr(found, name), getattr(chain, name), rtol=1e-7, err_msg=name)
+    assert max(found.drift, found.energy_drift) < 1e-12
+
+
+def test_what_has_no_contacts_is_no_body():
+    with pytest.raises(TypeError, match="slider"):
+        sp.precursor_length(3.0, sites=10)
+    with pytest.raises(TypeError, match="body"):
+        sp.series(sp.Slider(25.0, 0.03, 0.3), sites=10, events=1)
+    with pytest.raises(ValueError, match="sites = None"):
+        sp.precursor_length(two_rows(sp.Slider(25.0, 0.03, 0.3)))
+
+
+# --- a model of a length, and a column ------------------------------------------------------------------------------------
+
+
+class PartOfHeight(Front):
+    """Lengths by Eq. (25) of a part of the height, which the table states in a column of its own."""
+
+    name = "first precursor by Eq. (25)"
+    columns = ("part_of_height",)
+    inputs = {"log_part": Input("part of the height", np.log(0.1), 0.0, "must lie in 0.1 to 1")}
+
+    def stated(self, m):
+        return {"log_part": np.log(np.array(m.other["part_of_height"], float))}
+
+    def length(self, inputs, relaxed):
+        height = jnp.exp(inputs.log_height + inputs.get("log_part"))
+        return sp.theory.length_eq25(sp.Slider(height, jnp.exp(inputs.log_stiffness), inputs.poisson))
+
+
+HEIGHT, PART = np.array([20.0, 30.0, 45.0, 60.0, 80.0]), np.array([0.8, 0.9, 0.6, 1.0, 0.7])
+LENGTH = np.array(jax.vmap(sp.theory.length_eq25)(sp.Slider(HEIGHT * PART, np.full(5, 7e-3), np.full(5, 0.3))))
+
+
+def table(part=PART):
+    """Exact lengths by that model, with errors of 3 %."""
+    return sp.Measurements(HEIGHT, 0.3, LENGTH, 0.03 * LENGTH, other={"part_of_height": [f"{x}" for x in part]})
+
+
+@pytest.mark.ci
+def test_a_model_of_ones_own_with_a_column_of_its_own_is_fitted():
+    """The stiffness comes back, with the error of a linear fit; the report says what was fitted."""
+    found = sp.fit(table(), event=PartOfHeight())
+    assert found.values["stiffness"] == pytest.approx(7e-3, rel=1e-6)
+    assert found.identifiability.name == "IDENTIFIED"
+    step = 1e-5
+    up, down = (
+        np.array(
+            jax.vmap(sp.theory.length_eq25)(sp.Slider(HEIGHT * PART, np.full(5, 7e-3 * np.exp(side * step)), np.full(5, 0.3)))
+        )
+        for side in (1, -1)
+    )
+    slope = (up - down) / (2 * step) / (0.03 * LENGTH)
+    assert found.stderrs["stiffness"] == pytest.approx(7e-3 / np.sqrt((slope**2).sum()), rel=1e-4)
+    assert "kept but not used" not in found.report()
+    assert "first precursor by Eq. (25)" in found.methods() or found.parameters.front.name in found.report(verbose=True)
+    assert (found.parameters.front.status(found.parameters.inputs_at(found.theta)) == Outcome.ARRESTED).all()
+    density = sp.objective(table(), event=PartOfHeight())
+    theta = {"stiffness": jnp.asarray(np.log(7e-3))}
+    assert abs(float(jax.grad(density)(theta)["stiffness"])) < 1e-6
+
+
+def test_what_the_model_needs_is_named():
+    with pytest.raises(ValueError, match="the model reads the column part_of_height, which is not there"):
+        sp.fit(sp.Measurements(HEIGHT, 0.3, LENGTH, 0.03 * LENGTH), event=PartOfHeight())
+    with pytest.raises(ValueError, match=r"means part of the height = 2 .*: must lie in 0.1 to 1"):
+        sp.fit(table(np.full(5, 2.0)), event=PartOfHeight())
