@@ -41,10 +41,16 @@ GEOMETRY = (*AXES, *FLAGS)
 PRESTRESS, RATIO, FRICTION, NORMAL, MULTICONTACT = map(
     GEOMETRY.index, ("prestress", "log_ratio", "friction", "log_normal_stiffness", "multicontact")
 )
-UNIT, WIDEST, AT_ENDS = 0.04, 32, 4
-"""Spacing of nodes in ln b next to a fall; in that unit, of the first ones, and of those where events cease to stop."""
-NEAR = {32: 1.5, 16: 1.2}
+SEARCHED = 3e-3, 1000.0
+"""Range of b in which a fit searches, unless bounds go farther. Below it hardly any push starts a domino."""
+LOG_SEARCHED = np.log(SEARCHED)
+UNIT, WIDEST, AT_ENDS, BESIDE = 0.04, 32, 4, 8
+"""Spacing of nodes in ln b next to a fall; in that unit, of the first ones, of those where events cease to stop,
+and next to a fall of a block beside a measured one: a fall moves by that much in ln b over less than 0.0025 in friction."""
+NEAR = {32: 1.5, 16: 1.1}
 """By the distance of two nodes, in that unit: up to which factor from a measured length another one is put between them."""
+ALIKE = 2.0
+"""Factor from a measured length up to which the first nodes are computed on contacts of two sizes."""
 FAR, LIKE = 4.0, 1.25
 """Factor below the measured lengths from which on an event is of another kind, and up to which one is like them."""
 BREAKING = 150
@@ -94,16 +100,21 @@ class Family:
         self.endless = bool(np.isinf(geometry[RATIO]))
         self.driven = self.endless and geometry[PRESTRESS] > 0  # such an event may go on for ever
         self.measured = measured and not self.driven
+        events.expect(geometry, height, height / 2)
         self.nodes: set[int] = set()
         self.drawn: tuple[frozenset[int], Any] = frozenset(), None
 
     def reach(self, low: float, high: float) -> bool:
-        """Place nodes from one ln b to another, and one farther, so that no value depends on what else was asked for.
+        """Place the first nodes: one farther than asked, and of a measured block wherever a fit searches.
 
         Return whether there are new ones.
         """
         cell, before = UNIT * WIDEST, len(self.nodes)
-        self.nodes |= {WIDEST * n for n in range(int(np.floor(low / cell)) - 1, int(np.floor(high / cell)) + 3)}
+        first, last = int(np.floor(low / cell)), int(np.ceil(high / cell))
+        least, most = int(np.floor(LOG_SEARCHED[0] / cell)), int(np.ceil(LOG_SEARCHED[1] / cell))
+        if self.measured and least <= first and last <= most:
+            first, last = least + 1, most - 1
+        self.nodes |= {WIDEST * n for n in range(first - 1, last + 2)}
         return len(self.nodes) > before
 
     def missing(self) -> list[Key]:
@@ -118,7 +129,7 @@ class Family:
         """Events of one node: on its contacts, at first nodes on ones twice as large, and on ever larger ones if none stops."""
         known, height = self.events.known, self.height
         keys = [(self.geometry, np.inf if self.driven else height, j)]
-        if self.measured and j % WIDEST == 0:
+        if self.measured and j % WIDEST == 0 and keys[0] in known and self._is_alike(known[keys[0]].length):
             keys.append((self.geometry, height / 2, j))
         larger = self.measured and self.endless
         while larger and all(key in known and np.isinf(known[key].length) for key in keys):
@@ -126,6 +137,10 @@ class Family:
                 break
             keys.append((self.geometry, height, j))
         return keys
+
+    def _is_alike(self, length: float) -> bool:
+        """Whether a length is much like those measured, so that smaller contacts matter."""
+        return self.target[0] < ALIKE * length < ALIKE**2 * self.target[1]
 
     def node(self, j: int) -> Node:
         """ℓ/H at one node, on the smallest contacts on which the event stops."""
@@ -150,9 +165,9 @@ class Family:
         for left, right in itertools.pairwise(sorted(self.nodes)):
             apart, (a, b) = right - left, sorted((self.node(left).length, self.node(right).length))
             if _falls(a, b, low, high):
-                near = apart > 1
+                near = apart > (1 if self.measured else BESIDE)
             elif _kind(a) != _kind(b):
-                near = apart > AT_ENDS and b > low / FAR
+                near = apart > (AT_ENDS if self.measured else BESIDE) and b > low / FAR
             else:
                 near = _kind(a) == 1 and apart in NEAR and b * NEAR[apart] > low and a / NEAR[apart] < high
             if near:
@@ -191,10 +206,10 @@ class Family:
                 alone = np.append(run, run[-1]) if len(run) == 1 else run  # a node by itself: the same all around
                 place = at[run] if len(run) > 1 else at[run[0]] + np.array([-1.0, 1.0])
                 runs.append((int(run[0]), int(run[-1]), PchipInterpolator(place, value[alone])))
-        first = [j for j in order.tolist() if self.measured and j % WIDEST == 0]
-        finer = [
-            (UNIT * j, *self._finer(j)) for j in first if 0 < self.events.known[self.geometry, self.height, j].length < np.inf
+        two_sizes = [
+            j for j in order.tolist() if len(keys := self.keys(j)) > 1 and self._is_alike(self.events.known[keys[0]].length)
         ]
+        finer = [(UNIT * j, *self._finer(j)) for j in two_sizes]
         return at, value[:, 0], runs, np.array(finer or [(0.0, 0.0, 0.0)]).T
 
 
@@ -256,6 +271,9 @@ class Families:
         origin = self._nearest(geometry)
         offset = _offsets(geometry, np.array([family.geometry for family in self.measured])[origin])
         moved = np.abs(offset) > 1e-9
+        left = PARTS * np.floor(offset[:, FRICTION] + 1e-9).astype(int)
+        for i, parts in dict.fromkeys(zip(origin.tolist(), left.tolist(), strict=True)) if moved[:, FRICTION].any() else ():
+            self._family(i, parts), self._family(i, parts + PARTS)  # expected from now on
         value, error, off = self._along([(i, 0) for i in origin.tolist()], log_b, inverse)
         lanes = np.flatnonzero(moved[:, FRICTION])
         if lanes.size:
@@ -277,17 +295,10 @@ class Families:
         return np.stack([value, np.hypot(error, off)])
 
     def _along(self, which: list[tuple[int, int]], log_b: np.ndarray, inverse: np.ndarray) -> Float[np.ndarray, "3 n"]:
-        """ℓ/H of families, its error, and how far it may be off where it falls; by measured block and parts of friction.
-
-        All that are missing are computed together, and, as that costs little, measured blocks that differ in friction alone.
-        """
+        """ℓ/H of families, its error, and how far it may be off where it falls; by measured block and parts of friction."""
         number = np.array(which)
         every = [(self._family(*pair), np.flatnonzero((number == pair).all(axis=1))) for pair in dict.fromkeys(which)]
-        ends = {family: (log_b[lanes].min(), log_b[lanes].max()) for family, lanes in every}
-        for family in [family for family, _ in every if family.measured and _is_pressed(family.geometry)]:
-            alike = [one for one in self.measured if _without_friction(one.geometry) == _without_friction(family.geometry)]
-            ends |= {one: ends[family] for one in alike if one not in ends}
-        asked = [family for family, (low, high) in ends.items() if family.reach(low, high)]
+        asked = [family for family, lanes in every if family.reach(log_b[lanes].min(), log_b[lanes].max())]
         while missing := [key for family in asked for key in family.missing()]:
             self.events(missing)
         found = np.empty((3, len(log_b)))
@@ -518,10 +529,19 @@ def _kind(value: float) -> int:
 
 
 class Events:
-    """Whole events, each followed once for the object that asks for them."""
+    """Whole events, each followed once for the object that asks for them.
+
+    The response of a block under pressure serves every coefficient of friction: each event brings those of all expected.
+    """
 
     def __init__(self) -> None:
         self.known: dict[Key, Node] = {}
+        self.expected: dict[tuple[Geometry, float], dict[Geometry, None]] = {}
+
+    def expect(self, geometry: Geometry, *heights: float) -> None:
+        """Say that blocks of a geometry will be asked for, on contacts of these H/λc."""
+        for height in heights:
+            self.expected.setdefault((_without_friction(geometry), height), {})[geometry] = None
 
     def __call__(self, keys: Iterable[Key]) -> None:
         """Follow those that are not known: ℓ/H is inf where an event leaves the contacts followed, or the block lifts off."""
@@ -532,6 +552,9 @@ class Events:
             # computed for all that share a response, or at least the block itself
             place = (_without_friction(geometry), height, j) if _is_pressed(geometry) else (geometry, height)
             lanes.setdefault(place, []).append((geometry, height, j))
+        for (without, height, j), every in [(place, every) for place, every in lanes.items() if len(place) == 3]:
+            others = [(geometry, height, j) for geometry in self.expected.get((without, height), ())]
+            every += [key for key in others if key not in self.known and key not in every][: max(TOGETHER - len(every), 0)]
         parts = [every[i : i + TOGETHER] for every in lanes.values() for i in range(0, len(every), TOGETHER)]
         if not parts:
             return

@@ -29,7 +29,7 @@ from slippulse_jax.front.front import APPROACH, DEFAULT_MAX_CONTACTS, readings
 from slippulse_jax.front.lanes import STIFFEST as STIFFEST_RUN_BACK
 from slippulse_jax.front.lanes import jet_kernel
 from slippulse_jax.inference.choices import Body, MeasuredEvent
-from slippulse_jax.inference.family import FLAGS, Families, geometry_of
+from slippulse_jax.inference.family import FLAGS, SEARCHED, Families, geometry_of
 from slippulse_jax.inference.inputs import COMMON, Input, Inputs
 from slippulse_jax.inference.interpolation import Grid
 from slippulse_jax.inference.measurements import Measurements
@@ -45,8 +45,6 @@ STIFFEST = 1.0
 """Largest k/K searched: a contact stiffer than the block of bulk it is attached to is outside the model."""
 FULL_TO = 200.0
 """Largest b searched for whole events, unless bounds go farther: their cost grows with it."""
-BLOCK_FROM, BLOCK_TO = 3e-3, 1000.0
-"""Range of b searched for blocks, unless bounds go farther. Below it hardly any push starts a domino."""
 RISING = 0.01
 """b up to which every length certainly rises with stiffness."""
 LANES = Layout(chunk=256, fusion_emitters=False)
@@ -579,12 +577,12 @@ class BlockEvent(Front):
         return self.followed(inputs)[1]
 
     def softest(self, m: Measurements) -> np.ndarray:
-        """k/K at b = `BLOCK_FROM`."""
-        return BLOCK_FROM / (2 * (1 + m.poisson) * m.height)
+        """k/K at the least b searched."""
+        return SEARCHED[0] / (2 * (1 + m.poisson) * m.height)
 
     def stiffest(self, m: Measurements) -> np.ndarray:
-        """Largest k/K searched by default, up to b = `BLOCK_TO`."""
-        return np.minimum(STIFFEST, BLOCK_TO / (2 * (1 + m.poisson) * m.height))
+        """Largest k/K searched by default."""
+        return np.minimum(STIFFEST, SEARCHED[1] / (2 * (1 + m.poisson) * m.height))
 
     def regime(self, inputs: Inputs) -> Regime:
         """Find b, and over what length an edge load decays."""
