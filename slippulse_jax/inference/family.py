@@ -126,10 +126,10 @@ class Family:
             self.nodes |= between
 
     def keys(self, j: int) -> list[Key]:
-        """Events of one node: on its contacts, at first nodes on ones twice as large, and on ever larger ones if none stops."""
+        """Events of one node: on its contacts, perhaps on ones twice as large, and on ever larger ones if none stops."""
         known, height = self.events.known, self.height
         keys = [(self.geometry, np.inf if self.driven else height, j)]
-        if self.measured and j % WIDEST == 0 and keys[0] in known and self._is_alike(known[keys[0]].length):
+        if self._of_two_sizes(j):
             keys.append((self.geometry, height / 2, j))
         larger = self.measured and self.endless
         while larger and all(key in known and np.isinf(known[key].length) for key in keys):
@@ -138,9 +138,10 @@ class Family:
             keys.append((self.geometry, height, j))
         return keys
 
-    def _is_alike(self, length: float) -> bool:
-        """Whether a length is much like those measured, so that smaller contacts matter."""
-        return self.target[0] < ALIKE * length < ALIKE**2 * self.target[1]
+    def _of_two_sizes(self, j: int) -> bool:
+        """Whether one of the first nodes has a length much like those measured, so that smaller contacts matter."""
+        own = self.events.known.get((self.geometry, self.height, j)) if self.measured and j % WIDEST == 0 else None
+        return own is not None and self.target[0] < ALIKE * own.length < ALIKE**2 * self.target[1]
 
     def node(self, j: int) -> Node:
         """ℓ/H at one node, on the smallest contacts on which the event stops."""
@@ -149,6 +150,10 @@ class Family:
             return fine
         last = min((one.length for one in larger), default=np.inf)
         return Node(last, 0.1 * last)
+
+    def limit(self, j: int) -> float:
+        """ℓ/H at one node on ever smaller contacts."""
+        return self.node(j).length * (1 + (self._finer(j)[0] if self._of_two_sizes(j) else 0.0))
 
     def _finer(self, j: int) -> tuple[float, float]:
         """By how much of it ever smaller contacts change a length, and how far that may be off."""
@@ -206,10 +211,7 @@ class Family:
                 alone = np.append(run, run[-1]) if len(run) == 1 else run  # a node by itself: the same all around
                 place = at[run] if len(run) > 1 else at[run[0]] + np.array([-1.0, 1.0])
                 runs.append((int(run[0]), int(run[-1]), PchipInterpolator(place, value[alone])))
-        two_sizes = [
-            j for j in order.tolist() if len(keys := self.keys(j)) > 1 and self._is_alike(self.events.known[keys[0]].length)
-        ]
-        finer = [(UNIT * j, *self._finer(j)) for j in two_sizes]
+        finer = [(UNIT * j, *self._finer(j)) for j in order.tolist() if self._of_two_sizes(j)]
         return at, value[:, 0], runs, np.array(finer or [(0.0, 0.0, 0.0)]).T
 
 
@@ -368,7 +370,7 @@ class Families:
         alone = {g: Family(self.events, g, family.target, family.height) for g, _ in places}
         while missing := [key for g, j in places for key in alone[g].keys(j) if key not in self.events.known]:
             self.events(missing)
-        there[longer], before[longer] = np.reshape([alone[g].node(j).length for g, j in places], (2, -1))
+        there[longer], before[longer] = np.reshape([alone[g].limit(j) for g, j in places], (2, -1))
         least = family.target[0] / FAR  # an event of few breaks is another kind
         alike = np.isfinite(there) & np.isfinite(before) & (there > least) & (before > least) | (steps == 0)
         with np.errstate(all="ignore"):
