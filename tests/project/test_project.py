@@ -67,6 +67,16 @@ def test_imports_run_downward():
     assert seen > 20
 
 
+def test_docstrings_begin_with_twelve_words_at_most():
+    """Of those that a user of fits, pictures and commands reads, all but so many, which may only become fewer."""
+    long = []
+    for path in (one for room in ("inference", "plot", "cli") for one in sorted((PACKAGE / room).glob("*.py"))):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Module) and (text := ast.get_docstring(node)):
+                long += [f"{path.name}: {line}" for line in text.splitlines()[:1] if len(line.split()) > 12]
+    assert len(long) <= 80, "\n".join(long)
+
+
 def test_matrices_are_eliminated_one_by_one():
     """jaxlib's elimination of a batch can wait for its own threads for ever: what uses it keeps `vmap` out, as these two do."""
     used = {
