@@ -38,7 +38,7 @@ from slippulse_jax.front.arrest import (
     quantity,
     report_without_length,
 )
-from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, Contacts, EventKind, check_event
+from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, AnyInterface, EventKind, check_event
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lengths import whole_lengths
 from slippulse_jax.rules import HARD, BreakRule, HardBreak, check_rule
@@ -346,13 +346,13 @@ _counted = jax.jit(arrest, static_argnums=3)
 
 
 @partial(jax.jit, static_argnames="sites")
-def _recorded(modes: Modes, interface: Contacts, sites: int) -> tuple[Array, Array]:
+def _recorded(modes: Modes, interface: AnyInterface, sites: int) -> tuple[Array, Array]:
     """Load at nucleation, and front stress."""
     repinning = front if interface is None or not interface.repin_delay else delayed
     return front.nucleation_load(modes, interface), repinning.front_stress(modes, sites, interface)
 
 
-def _check_of_block(interface: Contacts, **given: Any) -> None:
+def _check_of_block(interface: AnyInterface, **given: Any) -> None:
     """Refuse what a block does not have."""
     usual = {"right": "semi-infinite", "max_contacts": DEFAULT_MAX_CONTACTS}
     for name, value in given.items():

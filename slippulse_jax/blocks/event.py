@@ -22,7 +22,7 @@ from slippulse_jax.block import Block
 from slippulse_jax.blocks import elements
 from slippulse_jax.blocks import guide as waveguide
 from slippulse_jax.blocks.guide import Edge, Guide, Slab
-from slippulse_jax.blocks.pressed import pressed
+from slippulse_jax.blocks.pressed import under_pressure
 from slippulse_jax.bodies.response import of_matrix
 from slippulse_jax.bulk.double import in_double
 from slippulse_jax.domains import FRICTION, MACHINE, NORMAL_STIFFNESS
@@ -97,7 +97,7 @@ def contacts_of(
     elif block.contact_law == "amontons":
         response = waveguide.response(guide, k, sites, jnp.asarray(block.friction * block.normal_stiffness))
     else:
-        body = pressed(guide, k, sites, jnp.asarray(block.normal_stiffness), jnp.asarray(block.friction))
+        body = under_pressure(guide, k, sites, jnp.asarray(block.normal_stiffness), jnp.asarray(block.friction))
         response = of_matrix(body.matrix[:sites, None, :sites], body.push[None, :sites], body.edge_stiffness)
     if block.machine is not None:
         response = response.through(block.machine, k)
@@ -112,7 +112,7 @@ def contacts_of(
 
 
 @partial(jax.jit, static_argnames=("sites", "kind"))
-def record(
+def precursor_of(
     block: Block, interface: Interface | Profile | None, sites: int, kind: EventKind, bare: tuple[Edge, Slab] | None = None
 ) -> BlockPrecursor:
     """Compute the event of one block on its first `sites` contacts; `bare` as for `guide_of`."""

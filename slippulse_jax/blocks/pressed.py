@@ -105,7 +105,7 @@ class Pressed(NamedTuple):
         return of_matrix(pull[:, None], (at.pressure * push[:sites])[None], self.edge_stiffness)
 
 
-def pressed(guide: Guide, contact: Array, sites: int, normal: Array, friction: Array) -> Pressed:
+def under_pressure(guide: Guide, contact: Array, sites: int, normal: Array, friction: Array) -> Pressed:
     """Contacts of stiffness k on a guide."""
     A, t = compliance(guide, sites, 2, 2)
     matrix = A.transpose(2, 3, 1, 0).reshape(2 * sites, 2 * sites)

@@ -85,7 +85,7 @@ def first_precursor(
 
 
 def _record(block: Block, interface: Interface | Profile | None, sites: Numbers | None, kind: EventKind) -> BlockPrecursor:
-    found = _resolved((block, interface), sites, partial(blocks.record, kind=kind))
+    found = _resolved((block, interface), sites, partial(blocks.precursor_of, kind=kind))
     if isinstance(interface, Profile) or not _is_tall(block, sites):
         return found
     return dataclasses.replace(found, length=tall_length(block, interface, kind)[0])  # one number, as `precursor_length` has it
@@ -128,7 +128,7 @@ def _length(
         return tall_length(block, interface, kind)[0]
     found = _resolved((block, interface, rule), sites, partial(first.length, kind=kind))
     if smooth and not isinstance(found, Tracer) and np.isnan(found):
-        begins = int(_resolved((block, interface), sites, partial(blocks.record, kind=kind)).nucleation)
+        begins = int(_resolved((block, interface), sites, partial(blocks.precursor_of, kind=kind)).nucleation)
         raise ValueError(f"rule = {rule!r}: a smooth front runs from the edge, and this event begins at contact {begins}")
     return found
 

@@ -15,7 +15,7 @@ from slippulse_jax.bodies.modes import ENDLESS, Ends, lattice_modes
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.domains import check_whole
 from slippulse_jax.front import delayed, front
-from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, Arrest, Contacts
+from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, AnyInterface, Arrest
 from slippulse_jax.interface import Profile
 from slippulse_jax.rules import HARD, BreakRule, HardBreak
 from slippulse_jax.slider import Slider, of_one_type
@@ -28,7 +28,7 @@ class FrontNotArrested(NotConverged):
 
 def arrest(
     slider: Slider,
-    interface: Contacts = None,
+    interface: AnyInterface = None,
     ends: Ends = ENDLESS,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
     rule: BreakRule = HARD,
@@ -63,7 +63,9 @@ def arrest(
 
 
 @partial(jax.jit, static_argnames=("name", "max_contacts"))
-def quantity(name: str, slider: Slider, interface: Contacts, ends: Ends, max_contacts: int, rule: BreakRule = HARD) -> Array:
+def quantity(
+    name: str, slider: Slider, interface: AnyInterface, ends: Ends, max_contacts: int, rule: BreakRule = HARD
+) -> Array:
     """One number of the `arrest` of every slider of a batch, or of one slider on a profile.
 
     The length has derivatives of every order in every mode; the other numbers have none.
@@ -82,7 +84,7 @@ def quantity(name: str, slider: Slider, interface: Contacts, ends: Ends, max_con
     return one(*numbers) if isinstance(interface, Profile) else jnp.vectorize(one)(*numbers)
 
 
-def check_at_once(interface: Contacts, rule: BreakRule) -> None:
+def check_at_once(interface: AnyInterface, rule: BreakRule) -> None:
     """Refuse a repinning delay under a smooth rule, of which a part of a contact would be detached while the rest holds."""
     if not isinstance(rule, HardBreak) and interface is not None and interface.repin_delay:
         raise ValueError(

@@ -80,7 +80,7 @@ NEWTON_STEPS = 4
 """Steps from the straight line to the end of the curve: four reach rounding, on contacts stiffer than any block more."""
 
 AnyArray = Array | np.ndarray
-Contacts = Interface | Profile | None
+AnyInterface = Interface | Profile | None
 """Thresholds and prestress of the contacts; None for the paper's own, relaxed and uniform."""
 
 
@@ -169,7 +169,7 @@ def taken_back(
 # --- where a front ends ------------------------------------------------------------------------------------------------
 
 
-def degree_of(contacts: "Contacts") -> int:
+def degree_of(contacts: "AnyInterface") -> int:
     """Degree of the curve on which ℓ ends: a straight line where neighbours differ, or repin after a delay.
 
     Elsewhere the overload is an analytic function of the position, and the curve all but coincides with it.
@@ -329,7 +329,7 @@ def echo_at(modes: Modes, site: Array) -> Array | None:
     return None if modes.echo is None else modes.echo_factor(site)
 
 
-def contact_at(modes: Modes, contacts: Contacts, site: Any) -> tuple[Array, Array]:
+def contact_at(modes: Modes, contacts: AnyInterface, site: Any) -> tuple[Array, Array]:
     """θ and φ of a contact, in σ_s."""
     site = jnp.asarray(site).astype(modes.gap.dtype)
     if contacts is None:
@@ -337,14 +337,14 @@ def contact_at(modes: Modes, contacts: Contacts, site: Any) -> tuple[Array, Arra
     return contacts.threshold_at(site).astype(site.dtype), contacts.prestress_at(site).astype(site.dtype)
 
 
-def nucleation_load(modes: Modes, contacts: Contacts) -> Array:
+def nucleation_load(modes: Modes, contacts: AnyInterface) -> Array:
     """Displacement of the drive when contact 0 carries its threshold, in u_s."""
     threshold, prestress = contact_at(modes, contacts, 0)
     return modes.load * (threshold - prestress)
 
 
 def passage(
-    modes: Modes, contacts: Contacts = None, rule: BreakRule = HARD
+    modes: Modes, contacts: AnyInterface = None, rule: BreakRule = HARD
 ) -> tuple[Front, Callable[[Front], tuple[Array, Array]], Callable[[Front, Array, Array], Front]]:
     """How a front passes over contacts that repin at once: `start`, `ahead` and `release` for `follow`.
 
@@ -442,7 +442,7 @@ def readings(slider: Slider, prestress: Array, position: Array, count: int, ends
 
 
 @partial(jax.jit, static_argnames="count")
-def front_stress(modes: Modes, count: int, contacts: Contacts = None) -> Float[Array, " count"]:
+def front_stress(modes: Modes, count: int, contacts: AnyInterface = None) -> Float[Array, " count"]:
     """t(0) … t(count − 1) of contacts that break as a whole and repin at once."""
     threshold, prestress = contact_at(modes, contacts, jnp.arange(count))
     return sweep(modes, threshold[0], prestress)
@@ -469,7 +469,7 @@ def slowest_approach(modes: Modes) -> Array:
     return 2 * product / (total + jnp.sqrt(jnp.maximum(total**2 - 4 * product, 0)))
 
 
-def never_stops_after(modes: Modes, contacts: Contacts, rule: BreakRule = HARD) -> Array:
+def never_stops_after(modes: Modes, contacts: AnyInterface, rule: BreakRule = HARD) -> Array:
     """Breaks after which a front that is still running never stops; inf where every front stops. Lanes last."""
     if contacts is None:
         return jnp.full_like(modes.load, jnp.inf)

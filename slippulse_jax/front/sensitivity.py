@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.domains import check_kind, check_single, check_whole
-from slippulse_jax.front.front import Contacts, contact_at, sweep, swept_length
+from slippulse_jax.front.front import AnyInterface, contact_at, sweep, swept_length
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.rules import BreakRule, HardBreak, check_rule
 from slippulse_jax.slider import Slider
@@ -73,7 +73,7 @@ def sensitivity(
 
 
 @partial(jax.jit, static_argnames="sites")
-def _worked_out(slider: Slider, interface: Contacts, sites: int, rule: BreakRule) -> Sensitivity:
+def _worked_out(slider: Slider, interface: AnyInterface, sites: int, rule: BreakRule) -> Sensitivity:
     modes, site, hard = lattice_modes(slider), jnp.arange(sites), isinstance(rule, HardBreak)
 
     def part(stress: Array, threshold: Array, site: Array) -> Array:

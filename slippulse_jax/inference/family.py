@@ -275,7 +275,8 @@ class Families:
         moved = np.abs(offset) > 1e-9
         left = PARTS * np.floor(offset[:, FRICTION] + 1e-9).astype(int)
         for i, parts in dict.fromkeys(zip(origin.tolist(), left.tolist(), strict=True)) if moved[:, FRICTION].any() else ():
-            self._family(i, parts), self._family(i, parts + PARTS)  # expected from now on
+            for side in (parts, parts + PARTS):  # expected from now on
+                self._family(i, side)
         value, error, off = self._along([(i, 0) for i in origin.tolist()], log_b, inverse)
         lanes = np.flatnonzero(moved[:, FRICTION])
         if lanes.size:

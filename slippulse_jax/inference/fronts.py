@@ -611,7 +611,11 @@ def front_of(m: Measurements, event: MeasuredEvent | Front | None = None, body: 
     sliders only; else a slider and its first front.
     """
     if isinstance(event, Front):
+        if type(event).length is Front.length and type(event).values is Front.values:
+            raise TypeError(f"event: {type(event).__name__} has neither a length nor values (docs/howto/model.md)")
         return event
+    if isinstance(event, type) and issubclass(event, Front):
+        raise TypeError(f"event: give {event.__name__}(), a model, and not its class")
     if event is not None:
         check_choice("event", event, MeasuredEvent)
     if body is not None:

@@ -330,7 +330,7 @@ def test_derivatives_back_are_those_forward(law, event):
             return sp.precursor_length(jax.tree.unflatten(tree, numbers), interface, sites=64, event=event)
 
         def recorded(*numbers):
-            return blocks.record(jax.tree.unflatten(tree, numbers), interface, 64, event).length
+            return blocks.precursor_of(jax.tree.unflatten(tree, numbers), interface, 64, event).length
 
         which = tuple(i for i, x in enumerate(numbers) if jnp.issubdtype(jnp.asarray(x).dtype, jnp.floating))
         assert len(which) == 5 + 2 * bool(rubs)
@@ -998,7 +998,10 @@ def test_no_elimination_of_a_batch():
         three = eqx.tree_at(lambda x: x.length, three, np.full(3, 20), is_leaf=lambda x: x is None)
         with jax.default_device(jax.devices("cpu")[0]):
             program = (
-                jax.jit(jax.vmap(lambda one: blocks.record(one, None, 32, "full").length)).lower(three).compile().as_text()
+                jax.jit(jax.vmap(lambda one: blocks.precursor_of(one, None, 32, "full").length))
+                .lower(three)
+                .compile()
+                .as_text()
             )
         return [line for line in program.splitlines() if "getrf" in line and "custom-call(" in line]
 

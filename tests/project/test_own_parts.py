@@ -127,5 +127,11 @@ def test_a_model_of_ones_own_with_a_column_of_its_own_is_fitted():
 def test_what_the_model_needs_is_named():
     with pytest.raises(ValueError, match="the model reads the column part_of_height, which is not there"):
         sp.fit(sp.Measurements(HEIGHT, 0.3, LENGTH, 0.03 * LENGTH), event=PartOfHeight())
+    with pytest.raises(TypeError, match="has neither a length nor values"):
+        sp.fit(table(), event=Front())
+    with pytest.raises(TypeError, match=r"give PartOfHeight\(\), a model, and not its class"):
+        sp.fit(table(), event=PartOfHeight)
+    with pytest.raises(ValueError, match="a model of one's own, which no file can hold"):
+        sp.fit(table(), event=PartOfHeight()).save("nowhere.json")
     with pytest.raises(ValueError, match=r"means part of the height = 2 .*: must lie in 0.1 to 1"):
         sp.fit(table(np.full(5, 2.0)), event=PartOfHeight())
