@@ -1,4 +1,4 @@
-"""Lengths of whole events of blocks for fits: families of blocks like those that were measured.
+"""Lengths of whole events of blocks for fits, by families of blocks.
 
 A whole event takes milliseconds, and its length steps where the order of its breaks changes. What a fit sees is continuous, and
 its slope is the trend over many steps.
@@ -88,8 +88,9 @@ class Node(NamedTuple):
 
 
 class Family:
-    """Blocks of one geometry, over b; `target` is the least and largest measured ℓ/H, `height` H/λc of the contacts.
+    """Blocks of one geometry, which differ in b alone.
 
+    `target` is the least and the largest measured ℓ/H, `height` H/λc of the contacts on which they are followed.
     What contacts of half the size change varies so slowly with b that the first nodes tell it.
     """
 
@@ -105,9 +106,9 @@ class Family:
         self.drawn: tuple[frozenset[int], Any] = frozenset(), None
 
     def reach(self, low: float, high: float) -> bool:
-        """Place the first nodes: one farther than asked, and of a measured block wherever a fit searches.
+        """Place the first nodes, and return whether there are new ones.
 
-        Return whether there are new ones.
+        They reach one farther than asked, and of a measured block wherever a fit searches.
         """
         cell, before = UNIT * WIDEST, len(self.nodes)
         first, last = int(np.floor(low / cell)), int(np.ceil(high / cell))
@@ -126,7 +127,10 @@ class Family:
             self.nodes |= between
 
     def keys(self, j: int) -> list[Key]:
-        """Events of one node: on its contacts, perhaps on ones twice as large, and on ever larger ones if none stops."""
+        """Events of one node.
+
+        On its contacts, perhaps on ones twice as large, and on ever larger ones if none stops.
+        """
         known, height = self.events.known, self.height
         keys = [(self.geometry, np.inf if self.driven else height, j)]
         if self._of_two_sizes(j):
@@ -139,12 +143,15 @@ class Family:
         return keys
 
     def _of_two_sizes(self, j: int) -> bool:
-        """Whether one of the first nodes has a length much like those measured, so that smaller contacts matter."""
+        """Whether the size of contacts matters at a node.
+
+        It does at first nodes of a length much like those measured.
+        """
         own = self.events.known.get((self.geometry, self.height, j)) if self.measured and j % WIDEST == 0 else None
         return own is not None and self.target[0] < ALIKE * own.length < ALIKE**2 * self.target[1]
 
     def node(self, j: int) -> Node:
-        """ℓ/H at one node, on the smallest contacts on which the event stops."""
+        """ℓ/H at one node, on the smallest contacts that stop it."""
         fine, *larger = (self.events.known[key] for key in self.keys(j))
         if np.isfinite(fine.length) or not self.endless:
             return fine
@@ -156,7 +163,7 @@ class Family:
         return self.node(j).length * (1 + (self._finer(j)[0] if self._of_two_sizes(j) else 0.0))
 
     def _finer(self, j: int) -> tuple[float, float]:
-        """By how much of it ever smaller contacts change a length, and how far that may be off."""
+        """Share by which smaller contacts change a length, and its error."""
         fine, rough = (self.events.known[self.geometry, height, j].length for height in (self.height, self.height / 2))
         if not np.isfinite(rough):  # of another kind
             return 0.0, 1 / fine
@@ -165,7 +172,7 @@ class Family:
         return value - 1, error
 
     def _between(self) -> set[int]:
-        """Nodes that are missing: near the measured length, and where the event begins or ceases to stop."""
+        """Nodes missing near the measured length, and where events cease to stop."""
         (low, high), found = self.target, set()
         for left, right in itertools.pairwise(sorted(self.nodes)):
             apart, (a, b) = right - left, sorted((self.node(left).length, self.node(right).length))
@@ -180,9 +187,9 @@ class Family:
         return found
 
     def __call__(self, log_b: Float[np.ndarray, " n"], inverse: Float[np.ndarray, " n"]) -> Float[np.ndarray, "3 n"]:
-        """ℓ/H, its error, and how far it may be off where it falls, once nothing is `missing`: monotone cubics.
+        """ℓ/H, its error, and that next to a fall; nothing may be `missing`.
 
-        `inverse` is λc/H. Next to an endless event the length is the last one, elsewhere without one inf.
+        By monotone cubics; `inverse` is λc/H. Next to an endless event the length is the last one, elsewhere without one inf.
         """
         if self.drawn[0] != self.nodes:
             self.drawn = frozenset(self.nodes), self._curve()
@@ -200,7 +207,10 @@ class Family:
         return np.stack([found, off, _off(np.stack([value[i], value[i + 1]]), part, *self.target)])
 
     def _curve(self) -> tuple[np.ndarray, np.ndarray, list[tuple[int, int, Any]], np.ndarray]:
-        """Nodes, ℓ/H; of all neighbours at which the event stops the first, the last and what is between; and `_finer`."""
+        """Nodes, ℓ/H, runs of neighbours at which events stop, and `_finer`.
+
+        Of each run the first node, the last, and what is between.
+        """
         from scipy.interpolate import PchipInterpolator  # a quarter of a second, and most fits have no block
 
         order = np.array(sorted(self.nodes))
@@ -219,7 +229,7 @@ class Family:
 
 
 class Families:
-    """Lengths of whole events of blocks, of measured ones and of what is like them on one curve each."""
+    """Lengths of whole events of measured blocks and of any others."""
 
     def __init__(self, events: "Events | None" = None) -> None:
         self.events = Events() if events is None else events
@@ -233,7 +243,10 @@ class Families:
         ratio: Float[np.ndarray, " m"],
         height: float | Float[np.ndarray, " m"] = np.inf,
     ) -> "Families":
-        """Add measured blocks: `geometry_of` each, ℓ/H, and H/λc; none is followed on smaller contacts than its own."""
+        """Add measured blocks, by `geometry_of` each, ℓ/H, and H/λc.
+
+        None is followed on smaller contacts than its own.
+        """
         rows, own = distinct_rows(geometry)
         for i, row in enumerate(rows.tolist()):
             here = own == i
@@ -259,7 +272,7 @@ class Families:
         return length[own], error[own]
 
     def _nearest(self, geometry: Float[np.ndarray, "n g"]) -> Int[np.ndarray, " n"]:
-        """Number of the measured block that each is most like; −1 where there is none with such a pusher."""
+        """Number of the measured block that each is most like; −1 without."""
         best, least = np.full(len(geometry), -1), np.full(len(geometry), np.inf)
         for i, family in enumerate(self.measured):
             apart = np.abs(_offsets(geometry, np.array(family.geometry))).sum(axis=1)
@@ -269,7 +282,7 @@ class Families:
         return best
 
     def _like(self, geometry: Float[np.ndarray, "n g"], log_b: np.ndarray, inverse: np.ndarray) -> Float[np.ndarray, "2 n"]:
-        """ℓ/H of blocks like measured ones, and how far it may be off."""
+        """ℓ/H of blocks like measured ones, and its error."""
         origin = self._nearest(geometry)
         offset = _offsets(geometry, np.array([family.geometry for family in self.measured])[origin])
         moved = np.abs(offset) > 1e-9
@@ -298,7 +311,10 @@ class Families:
         return np.stack([value, np.hypot(error, off)])
 
     def _along(self, which: list[tuple[int, int]], log_b: np.ndarray, inverse: np.ndarray) -> Float[np.ndarray, "3 n"]:
-        """ℓ/H of families, its error, and how far it may be off where it falls; by measured block and parts of friction."""
+        """ℓ/H of families, its error, and that next to a fall.
+
+        By measured block and parts of friction.
+        """
         number = np.array(which)
         every = [(self._family(*pair), np.flatnonzero((number == pair).all(axis=1))) for pair in dict.fromkeys(which)]
         asked = [family for family, lanes in every if family.reach(log_b[lanes].min(), log_b[lanes].max())]
@@ -310,7 +326,7 @@ class Families:
         return found
 
     def _family(self, i: int, parts: int) -> Family:
-        """A measured block, or one that differs from it by parts of a step of friction, of one size."""
+        """A measured block, or one beside it by parts of a friction step."""
         origin = self.measured[i]
         if not parts:
             return origin
@@ -322,10 +338,10 @@ class Families:
     def _over_friction(
         self, origin: np.ndarray, offset: np.ndarray, log_b: np.ndarray, own: Float[np.ndarray, "2 n"]
     ) -> Float[np.ndarray, "2 n"]:
-        """ℓ/H at other coefficients of friction, from blocks followed on both sides; ever closer ones where it falls between.
+        """ℓ/H at other coefficients of friction, from blocks on both sides.
 
-        Their contacts have one size; `own`, of the measured blocks, says what smaller ones change. The second row is how far
-        the first may be off where it falls.
+        Ever closer ones where it falls between. Their contacts have one size; `own`, of the measured blocks, says what smaller
+        ones change. The second row is how far the first may be off where it falls.
         """
         heights = np.array([family.height for family in self.measured])[origin]
         with np.errstate(all="ignore"):
@@ -351,13 +367,19 @@ class Families:
         return np.stack([_blended(sides, weight), np.hypot((weight * off).sum(axis=0), _off(sides, part, *target))])
 
     def _ratio(self, i: int, axis: int) -> Grid:
-        """Over ln b and steps along an axis: ln of a length over the measured block's; or, of another kind, the length."""
+        """Logarithm of a length over the measured one; or, unlike it, the length.
+
+        Over ln b and steps along an axis.
+        """
         if (i, axis) not in self.ratios:
             self.ratios[i, axis] = Grid([WIDEST * UNIT, 1.0], partial(self._compared, self.measured[i], axis))
         return self.ratios[i, axis]
 
     def _compared(self, family: Family, axis: int, place: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-        """Compare blocks steps aside with a measured one: on contacts of one size, whose error is the same, where both stop."""
+        """Compare blocks steps aside with a measured one.
+
+        On contacts of one size, whose error is the same, where both stop.
+        """
         steps, nodes = np.rint(place[:, 1]).astype(int), np.rint(place[:, 0] / UNIT).astype(int).tolist()
         both = [[_moved(family.geometry, axis, m) for m in steps.tolist()], [family.geometry] * len(nodes)]
         both = [list(zip(every, nodes, strict=True)) for every in both]
@@ -379,7 +401,10 @@ class Families:
         return np.stack([np.where(alike, ratio, np.nan), np.where(alike | ~np.isfinite(there), np.nan, there)], axis=1)
 
     def _unlike(self, geometry: Float[np.ndarray, "n g"], log_b: np.ndarray, inverse: np.ndarray) -> Float[np.ndarray, "2 n"]:
-        """ℓ/H of blocks that were not measured, and how far it may be off; those at many b are followed too."""
+        """ℓ/H of blocks that were not measured, and its error.
+
+        Those at many b are families too.
+        """
         rows, own = distinct_rows(geometry)
         found, often = np.empty((2, len(geometry))), (np.bincount(own) > MANY) | np.isfinite(rows[:, RATIO])
         once = ~often[own]
@@ -404,7 +429,10 @@ class Families:
 
 
 def geometry_of(inputs: Inputs) -> Float[np.ndarray, "n g"]:
-    """What the blocks are like, beside λc/H and b; without an end, friction and what else is not among the inputs."""
+    """What the blocks are like, beside λc/H and b.
+
+    Without an end, friction and what else is not among the inputs.
+    """
     absent = {"log_sites": np.inf, "log_normal_stiffness": np.inf}
 
     def stated(name: str) -> np.ndarray:
@@ -436,7 +464,10 @@ def _ratio(geometry: Geometry) -> float:
 
 
 def _most_sites(geometry: Geometry) -> int:
-    """Most contacts that are followed, of a block that ends; half as many where balancing them takes iterations."""
+    """Most contacts that are followed of a block that ends.
+
+    Half as many where balancing them takes iterations.
+    """
     halves = 1 + int(geometry[MULTICONTACT])
     return max(2 * FOLLOWED, 1 << int(np.ceil(np.log2(OF_END * _ratio(geometry))))) // halves
 
@@ -448,7 +479,7 @@ def _sites(geometry: Geometry, height: float) -> int:
 
 
 def _height(geometry: Geometry, target: tuple[float, float], own: float) -> float:
-    """H/λc on whose contacts a measured block is followed, by the length it has; the same for lengths that are alike."""
+    """H/λc on whose contacts a measured block is followed, by its length."""
     ratio = _ratio(geometry)
     height = 2 ** (round(2 * np.log2(BREAKING / max(np.sqrt(target[0] * target[1]), 1e-3))) / 2)
     height = float(min(height, max(own, SMALLEST)))
@@ -459,7 +490,7 @@ def _height(geometry: Geometry, target: tuple[float, float], own: float) -> floa
 
 
 def _kinds(geometry: Float[np.ndarray, "n g"]) -> Float[np.ndarray, "n f"]:
-    """What blocks must have in common to differ by numbers only, and to be followed together."""
+    """What blocks that are followed together must have in common."""
     return np.column_stack([geometry[:, len(AXES) :], np.isinf(geometry[:, : len(AXES)])])
 
 
@@ -499,7 +530,10 @@ def _bodies(geometry: Float[np.ndarray, "n g"], height: np.ndarray, b: Any = 1.0
 
 
 def _blended(length: Float[np.ndarray, "2 n"], weight: Float[np.ndarray, "2 n"]) -> Float[np.ndarray, " n"]:
-    """Length between two: of those that stop, along a straight line of the logarithm where they are alike."""
+    """Length between two, of those that stop.
+
+    Along a straight line of the logarithm where they are alike.
+    """
     used = (weight > 0) & np.isfinite(length)
     share, low = (weight * used).sum(axis=0), np.where(used, length, np.inf).min(axis=0)
     with np.errstate(all="ignore"):
@@ -509,8 +543,9 @@ def _blended(length: Float[np.ndarray, "2 n"], weight: Float[np.ndarray, "2 n"])
 
 
 def _off(sides: Float[np.ndarray, "2 n"], part: Float[np.ndarray, " n"], least: Any, most: Any) -> Float[np.ndarray, " n"]:
-    """How far a length between two may be off where it falls, at once and anywhere between them, past measured ones.
+    """How far a length between two may be off where it falls.
 
+    It falls at once, past measured ones, anywhere between the two.
     It is then the one or the other, as likely as it is near; this is the standard deviation.
     """
     low, high = np.sort(sides, axis=0)
@@ -519,7 +554,7 @@ def _off(sides: Float[np.ndarray, "2 n"], part: Float[np.ndarray, " n"], least: 
 
 
 def _falls(low: Any, high: Any, least: Any, most: Any) -> Any:
-    """Whether a length like the measured ones, from `least` to `most`, falls to one of another kind."""
+    """Whether a length like the measured ones falls to another kind."""
     return (low * FAR < high) & (high * LIKE > least) & (high < most * LIKE)
 
 
@@ -542,12 +577,15 @@ class Events:
         self.expected: dict[tuple[Geometry, float], dict[Geometry, None]] = {}
 
     def expect(self, geometry: Geometry, *heights: float) -> None:
-        """Say that blocks of a geometry will be asked for, on contacts of these H/λc."""
+        """Say that a geometry will be asked for, at these H/λc."""
         for height in heights:
             self.expected.setdefault((_without_friction(geometry), height), {})[geometry] = None
 
     def __call__(self, keys: Iterable[Key]) -> None:
-        """Follow those that are not known: ℓ/H is inf where an event leaves the contacts followed, or the block lifts off."""
+        """Follow the events that are not known.
+
+        ℓ/H is inf where one leaves the contacts followed, or the block lifts off.
+        """
         lanes: dict[Key | tuple[Geometry, float], list[Key]] = {}
         for geometry, height, j in dict.fromkeys(keys):
             if (geometry, height, j) in self.known:
@@ -568,7 +606,10 @@ class Events:
                 self.known.update(zip(itertools.chain(*some), found, strict=True))
 
     def announced(self, every: list[list[Key]]) -> Iterator[list[list[Key]]]:
-        """Cut into parts of one per thread, and show progress: a bar on a terminal, elsewhere one line, once."""
+        """Cut into parts of one per thread, and show progress.
+
+        By a bar on a terminal, elsewhere by one line, once.
+        """
         delay = 0 if sys.stderr is not None and sys.stderr.isatty() else 2
         what = {"desc": "events followed (the first compiles)", "unit": " events", "delay": delay, "leave": False}
         count = sum(map(len, every))
@@ -583,7 +624,10 @@ class Events:
 
 
 def _of_one_size(parts: list[list[Key]]) -> list[Node]:
-    """ℓ/H of blocks of one kind: each part is of one block at several b, or at several coefficients of friction."""
+    """ℓ/H of blocks of one kind.
+
+    Each part is of one block at several b, or at several coefficients of friction.
+    """
     geometry, height = (np.array([part[0][i] for part in parts]) for i in (0, 1))
     pressed = _is_pressed(parts[0][0][0])
     every = [[key[0][FRICTION] if pressed else UNIT * key[2] for key in part] for part in parts]
@@ -599,7 +643,7 @@ def _of_one_size(parts: list[list[Key]]) -> list[Node]:
 
 
 def _driven(parts: list[list[Key]]) -> list[Node]:
-    """ℓ/H of blocks whose event may go on for ever, on contacts that suit each, and how far it may be off."""
+    """ℓ/H of blocks whose event may never stop, and its error."""
     keys = list(itertools.chain(*parts))
     found = _each(
         np.array([key[0] for key in keys]), UNIT * np.array([key[2] for key in keys]), np.full(len(keys), 1 / TALLEST)
@@ -608,7 +652,10 @@ def _driven(parts: list[list[Key]]) -> list[Node]:
 
 
 def _each(geometry: Float[np.ndarray, "n g"], log_b: np.ndarray, inverse: np.ndarray) -> Float[np.ndarray, "2 n"]:
-    """ℓ/H of blocks without end, each on contacts that suit its own event, and how far it may be off."""
+    """ℓ/H of blocks without end, and its error.
+
+    Each is followed on contacts that suit its own event.
+    """
     found = np.empty((2, len(geometry)))
     height = 1 / np.maximum(inverse, 1 / TALLEST)
     for here in _alike(geometry, height):

@@ -1,4 +1,4 @@
-"""Models of a measured length, one class each: what it takes, its lengths, its range, its status, its words.
+"""Models of a measured length: inputs, lengths, range, status, words.
 
 A model is `length`, a JAX function of the inputs of one measurement, or a table of `values` that were computed before, such as
 those of whole events and blocks. From it come lengths and derivatives of many lanes at once (`evaluate`), which a compiled
@@ -69,7 +69,10 @@ NEARBY = np.linspace(-0.15, 0.15, 13)
 
 
 class Prediction(NamedTuple):
-    """Values for L lanes, and their first and second derivative along a line in the inputs; 0 where a value is not finite."""
+    """Values for L lanes, and two derivatives along a line of inputs.
+
+    Derivatives are 0 where a value is not finite.
+    """
 
     value: Float[np.ndarray, " L"]
     slope: Float[np.ndarray, " L"] | None = None
@@ -110,20 +113,23 @@ class Front:
     uncertain_as: ClassVar[str] = "the definition of a length between two whole contacts changes it by"
 
     def check(self, m: Measurements, names: Collection[str]) -> None:
-        """Refuse columns and parameters that have no meaning for this model; a ValueError names them."""
+        """Refuse columns and parameters without a meaning; a ValueError names them."""
         if "friction" in names:
             raise ValueError("parameter friction: contacts slide only behind a crack-like front: event = 'crack'")
 
     def stated(self, m: Measurements) -> dict[str, np.ndarray]:
-        """Values of its own inputs that the measurements state, each of shape (n,)."""
+        """Its own inputs that the measurements state, each of shape (n,)."""
         return {}
 
     def values(self, inputs: Inputs) -> Float[np.ndarray, " L"]:
-        """Lengths of many lanes, in λc: 0 where no domino starts, inf where nothing stops. NotConverged names where none is."""
+        """Lengths of many lanes, in λc.
+
+        0 where no domino starts, inf where nothing stops; NotConverged names inputs without one.
+        """
         raise NotImplementedError
 
     def length(self, inputs: Inputs, relaxed: bool) -> Array:
-        """Length of one lane in λc, a JAX function with derivatives in forward mode; of the table unless there is a better.
+        """Length of one lane in λc, a JAX function with derivatives in forward mode.
 
         `relaxed` says that prestress and slope are zero for certain.
         """
@@ -134,17 +140,17 @@ class Front:
         return jax.vmap(lambda one: self.length(one, relaxed))(inputs)
 
     def lengths(self, inputs: Inputs) -> Float[np.ndarray, " L"]:
-        """Lengths of many lanes, in λc. NotConverged names inputs where none was found."""
+        """Lengths of many lanes, in λc; NotConverged names inputs without one."""
         return self.evaluate(inputs).value
 
     def evaluate(self, inputs: Inputs, along: Along = None) -> Prediction:
-        """Lengths of many lanes, and their derivatives along a line; of the table unless there is a better."""
+        """Lengths of many lanes, and their derivatives along a line."""
         if type(self).values is Front.values:
             return by_jax(type(self).length, self, inputs, along)
         return Prediction(self.values(inputs)) if along is None else self._by_differences(inputs, along)
 
     def _by_differences(self, inputs: Inputs, along: np.ndarray) -> Prediction:
-        """Values of a table, or of a closed form without kinks, and their central differences along a line."""
+        """Values of a table, and their central differences along a line."""
         table, every = inputs.table(), {**COMMON, **self.inputs}
         steps = np.array([every[name].step for name in inputs.names])
         steps = steps * np.where(np.array(inputs.names) == "threshold_slope", np.exp(-table[:, :1]), 1.0)
@@ -164,7 +170,7 @@ class Front:
         return Prediction(value, np.where(stops, slope, 0), np.where(stops, bend, 0))
 
     def _from_table(self, inputs: Inputs) -> Array:
-        """Length from a table as a JAX function, which calls it back; with first derivatives in forward mode."""
+        """Length from a table as a JAX function, with first derivatives."""
         names = inputs.names
 
         def called(of: Callable[..., np.ndarray | None], *lanes: Array) -> Array:
@@ -205,15 +211,18 @@ class Front:
         return np.select(list(kinds.values()), list(kinds), Outcome.NO_DOMINO)
 
     def breaks_again(self, inputs: Inputs) -> np.ndarray:
-        """Whether the edge contact would break again before the front stops, which the model leaves out; shape (L,)."""
+        """Whether the edge would break again, which the model leaves out; shape (L,)."""
         return np.zeros(inputs.poisson.shape, bool)
 
     def uncertainty(self, inputs: Inputs) -> np.ndarray | None:
-        """Typical error of each length, in λc, shape (L,); None where there is none to speak of."""
+        """Typical error of each length, in λc, shape (L,); None without one."""
         return None
 
     def softest(self, m: Measurements) -> np.ndarray:
-        """k/K of each measurement below which certainly no domino starts (b far below (λc/H)²), so that the length is zero."""
+        """k/K of each measurement below which certainly no domino starts.
+
+        There b is far below (λc/H)², and the length is zero.
+        """
         return 1e-2 / (2 * (1 + m.poisson) * m.height**3)
 
     def stiffest(self, m: Measurements) -> np.ndarray:
@@ -221,7 +230,10 @@ class Front:
         return np.full(len(m), STIFFEST)
 
     def fields(self, inputs: Inputs, stopped: Array, count: int) -> tuple[Array, Array]:
-        """Slip and stress of the first `count` contacts when `stopped` have broken, traced; each of shape (count,)."""
+        """Slip and stress of the first contacts when `stopped` have broken.
+
+        Traced, each of shape (count,).
+        """
         return readings(sliders(inputs, jnp.exp), inputs.prestress, stopped, count, ends_of(inputs, jnp.exp))
 
     def regime(self, inputs: Inputs) -> Regime:
@@ -230,7 +242,9 @@ class Front:
             return Regime(*map(np.asarray, _regime(sliders(inputs))))
 
     def longest(self, inputs: Inputs, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Find the maximum of the length over ln k/K from `low` to `high`, by a scan and closer scans around its top.
+        """Find the longest length over ln k/K from `low` to `high`.
+
+        By a scan, and closer scans around its top.
 
         Below b = `RISING` a length rises with stiffness, so that nothing softer is looked at.
         """
@@ -254,7 +268,10 @@ ENDED = ("log_sites", "log_machine")
 
 
 class FirstFront(Front):
-    """The first front of a slider, which may end, or be pushed through a spring, by the recursion."""
+    """The first front of a slider, by the recursion.
+
+    The slider may end, or be pushed through a spring.
+    """
 
     event = "domino"
     inputs = {
@@ -277,7 +294,9 @@ class FirstFront(Front):
         return jnp.asarray(arrest(slider, _interface(inputs, relaxed), ends).length)
 
     def evaluate(self, inputs: Inputs, along: Along = None) -> Prediction:
-        """ℓ by the loop over lanes; of tall sliders and stiff contacts derivatives are differences.
+        """ℓ by the loop over lanes.
+
+        Of tall sliders and stiff contacts derivatives are differences.
 
         inf where a front under an end or a machine runs farther than `FARTHEST`, which a soft machine and a prestress may let
         it do for ever. What never stops by itself does not stop under them either.
@@ -308,21 +327,21 @@ class FirstFront(Front):
         return Prediction(value[own], *(np.where(np.isfinite(value), x, 0)[own] for x in found[1:]))
 
     def in_rows(self, inputs: Inputs, relaxed: bool, highest: np.ndarray) -> Float[Array, " m"]:
-        """ℓ by the same loop, with first and second derivatives in forward mode."""
+        """ℓ by the same loop, with two derivatives in forward mode."""
         most, right = self.most(highest, inputs.names)
         at, _ = lane_fields(inputs, inputs, relaxed, jnp)
         value = _by_loop(most, right, at)
         return jnp.where(jnp.isnan(value) | (value > most if most < DEFAULT_MAX_CONTACTS else False), jnp.inf, value)
 
     def status(self, inputs: Inputs) -> np.ndarray:
-        """`Outcome` of each front, by the recursion that breaks its contacts one by one; shape (L,)."""
+        """`Outcome` of each front, by the recursion; shape (L,)."""
         distinct, own = distinct_rows(inputs.table())
         at = Inputs.from_table(inputs.names, distinct)
         slider, interface, ends = recursion_inputs(at, is_relaxed(at))
         return np.asarray(arrests(slider, interface, ends=ends).status)[own]
 
     def values(self, inputs: Inputs) -> np.ndarray:
-        """Lengths alone: of fronts without end that run far in closed form, which is ℓ to rounding there."""
+        """Lengths alone: those that run far in closed form, ℓ to rounding there."""
         slider, interface, ends = recursion_inputs(inputs, is_relaxed(inputs))
         reach = self.reach(inputs)
         far = reach > LONGEST if ends is ENDLESS else np.isinf(reach)
@@ -345,7 +364,10 @@ class FirstFront(Front):
 
     @staticmethod
     def reach(inputs: Inputs) -> np.ndarray:
-        """How far each front without end may run, in λc; inf where it never stops, if the recursion takes long to see that."""
+        """How far each front without end may run, in λc.
+
+        inf where it never stops, if the recursion takes long to see that.
+        """
         lanes = _lanes(inputs)
         height, ratio, poisson, prestress, slope = lanes
         found = expected_length(height, ratio, poisson)
@@ -361,7 +383,7 @@ class FirstFront(Front):
 
     @staticmethod
     def most(log_height: np.ndarray, names: tuple[str, ...]) -> tuple[int, RightEnd]:
-        """Contacts after which a front counts as one that never stops, in few steps, and the right end."""
+        """Contacts after which a front never stops, in few steps; the right end."""
         if not set(ENDED) & set(names):
             return DEFAULT_MAX_CONTACTS, "semi-infinite"
         return int(2 ** np.ceil(np.log2(np.maximum(FARTHEST * np.exp(log_height), AT_LEAST))).max()), "free"
@@ -374,14 +396,14 @@ class FirstFront(Front):
         return value
 
     def breaks_again(self, inputs: Inputs) -> np.ndarray:
-        """Whether the edge contact is back at its threshold before the front stops."""
+        """Whether the edge is back at its threshold before the front stops."""
         uneven = (inputs.prestress != 0) | (inputs.threshold_slope != 0) | bool({*ENDED} & {*inputs.names})
         may = uneven | (np.exp(inputs.log_b) >= NEVER)
         return self.status(inputs) == Outcome.REBREAK if may.any() else may
 
 
 class WholeEvent(Front):
-    """The whole event on a slider, in which contacts may break again: ℓ times an interpolated factor."""
+    """The whole event on a slider: ℓ times an interpolated factor."""
 
     event = "full"
     interpolated = True
@@ -417,7 +439,10 @@ class WholeEvent(Front):
         return FirstFront().status(inputs)
 
     def over_front(self, lanes: Float[np.ndarray, "5 n"]) -> Float[np.ndarray, " n"]:
-        """ℓ over that of the front at (H/λc, k/K, ν, φ, ε), along straight lines between nodes; NaN where all were given up."""
+        """ℓ over that of the front at (H/λc, k/K, ν, φ, ε).
+
+        Along straight lines between nodes; NaN where all were given up.
+        """
         height, stiffness, poisson, prestress, slope = lanes
         b = 2 * (1 + poisson) * stiffness * height
         factor = np.ones(lanes.shape[1])
@@ -445,7 +470,10 @@ class WholeEvent(Front):
 
 
 def _over_front(place: Float[np.ndarray, "n 5"]) -> Float[np.ndarray, "n 1"]:
-    """ℓ of whole events over that of fronts, at nodes of ln H/λc, ln b, ν, φ and ε H/λc."""
+    """ℓ of whole events over that of fronts, at nodes.
+
+    Of ln H/λc, ln b, ν, φ and ε H/λc.
+    """
     height, b, poisson, prestress, slope = place.T
     height, poisson = np.maximum(np.exp(height), SHORTEST), np.clip(poisson, -STEEPEST, 0.5)
     slider = Slider(height, np.exp(b) / (2 * (1 + poisson) * height), poisson)
@@ -456,7 +484,7 @@ def _over_front(place: Float[np.ndarray, "n 5"]) -> Float[np.ndarray, "n 1"]:
 
 
 class CrackFront(Front):
-    """A crack-like front, behind which contacts slide at a friction, in closed form."""
+    """A crack-like front, behind which contacts slide, in closed form."""
 
     event = "crack"
     inputs = {"friction": Input("σ_k/σ_s", 0.0, 1.0, "must be 0 or more, and below 1", 1e-5, (0.0, np.inf))}
@@ -495,7 +523,7 @@ class CrackFront(Front):
 
 
 class BlockEvent(Front):
-    """The whole event on a block under two-dimensional elasticity that is pushed at a height."""
+    """The whole event on a block that is pushed at a height."""
 
     event = "full"
     body = "block"
@@ -528,7 +556,7 @@ class BlockEvent(Front):
     """What measurements may state beside lengths, and a fit of a block cannot take; and what a block it takes instead."""
 
     def __init__(self, *tables: Measurements) -> None:
-        """Blocks like those measured, in any of the tables, are followed from theirs."""
+        """Follow blocks like those measured from theirs, in any of the tables."""
         self.followed = Families()
         whole = [m for m in tables if m.push_height is not None and not np.isnan(m.push_height).any()]
         for m in whole:
@@ -545,7 +573,7 @@ class BlockEvent(Front):
                 self.held = "the pusher and the top of the block"
 
     def check(self, m: Measurements, names: Collection[str]) -> None:
-        """Ask for the height of the push, and refuse what a fit of a block cannot take."""
+        """Ask for the height of the push, and refuse what blocks cannot take."""
         if m.push_height is None:
             raise ValueError(f"{m.source}: a block needs the height of the push: give push_height (push_height_mm in a table)")
         if np.isnan(m.push_height).any():
@@ -561,7 +589,7 @@ class BlockEvent(Front):
             raise ValueError(f"{m.source}: threshold_slope: a fit of a block takes level thresholds")
 
     def stated(self, m: Measurements) -> dict[str, np.ndarray]:
-        """The push on the side of each block, where it ends, and what the pressure does."""
+        """The push on each block, its end, and what the pressure does."""
         assert m.push_height is not None
         return pushed(
             m.height, m.push_height, m.push_width, m.push_control, length=m.block_length, friction=m.friction,
@@ -573,7 +601,7 @@ class BlockEvent(Front):
         return self.followed(inputs)[0]
 
     def uncertainty(self, inputs: Inputs) -> np.ndarray | None:
-        """How far each length may be off, as coarser blocks show, and next to where it falls."""
+        """How far each length may be off, by size of contacts and next to a fall."""
         return self.followed(inputs)[1]
 
     def softest(self, m: Measurements) -> np.ndarray:
@@ -599,13 +627,13 @@ _shared = functools.cache(lambda model: model())
 
 
 def front_for(body: Body, event: MeasuredEvent, *tables: Measurements) -> Front:
-    """A model by body and event; one with a table of lengths of its own is for these measurements."""
+    """A model by body and event; with a table, for these measurements."""
     model = FRONTS[body, event]
     return model(*tables) if model.interpolated else _shared(model)  # whose compiled programs all fits share
 
 
 def front_of(m: Measurements, event: MeasuredEvent | Front | None = None, body: Body | None = None) -> Front:
-    """Choose the model of the measured lengths; a ValueError if there is none for this event and body.
+    """Choose the model of measured lengths; a ValueError if there is none.
 
     By default a block and its whole event where every measurement states how its side is pushed, unless the event is one of
     sliders only; else a slider and its first front.
@@ -643,7 +671,10 @@ def pushed(
     contact_law: Sequence[str] = (),
     top: Sequence[str] = (),
 ) -> dict[str, np.ndarray]:
-    """Inputs of blocks that are not those of sliders, each of shape (n,): NaN, or None, as in `Measurements`."""
+    """Inputs of blocks that sliders do not have, each of shape (n,).
+
+    NaN, or None, as in `Measurements`.
+    """
     none = np.full(len(height), np.nan)
 
     def or_inf(x: np.ndarray | None) -> np.ndarray:
@@ -666,12 +697,12 @@ def pushed(
 
 
 def is_relaxed(inputs: Inputs, along: Along = None) -> bool:
-    """Whether prestress and slope are zero everywhere, and stay so along a line."""
+    """Whether prestress and slope are zero, and stay so along a line."""
     return not (inputs.prestress.any() or inputs.threshold_slope.any() or along is not None and along[:, 3:5].any())
 
 
 def by_jax(function: Any, front: Front, inputs: Inputs, along: Along, **options: Any) -> Prediction:
-    """Values of a ``function(front, inputs, relaxed)`` of one lane, and its derivatives along a line, in bulk."""
+    """Values and derivatives of a ``function(front, inputs, relaxed)`` of one lane, in bulk."""
     table = inputs.table()
     rows, own = distinct_rows(table if along is None else np.concatenate([table, along], axis=1))
     kernel = _jets(function, front, inputs.names, along is not None, is_relaxed(inputs, along), **options)
@@ -700,7 +731,10 @@ def _jets(function: Any, front: Front, names: tuple[str, ...], slopes: bool, rel
 
 
 def lane_fields(inputs: Inputs, along: Inputs, relaxed: bool, numpy: Any) -> tuple[Any, Any]:
-    """Numbers of lanes for `jet_kernel`, and their direction; a missing end is so far away that no digit changes."""
+    """Numbers of lanes for `jet_kernel`, and their direction.
+
+    A missing end is so far away that no digit changes.
+    """
     names = ["log_height", "log_stiffness", "poisson", "prestress", "threshold_slope"]
     ended = bool(set(ENDED) & set(inputs.names))
     at, way = ([one.get(name) for name in (names[:3] if relaxed and not ended else names)] for one in (inputs, along))
@@ -732,7 +766,10 @@ def _with_slope(most: int, right: RightEnd, at: Array, along: Array) -> tuple[Ar
 
 @_with_slope.defjvp
 def _with_slope_jvp(most: int, right: RightEnd, primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple:
-    """The change of a slope along v where the lane moves by w: from the bends along v, w and v + w."""
+    """Change of a slope along v where the lane moves by w.
+
+    From the bends along v, w and v + w.
+    """
     (at, along), (moved, turned) = primals, tangents
     both, first, second = (_bend(most, right, at, way) for way in (along + moved, along, moved))
     changes = _with_slope(most, right, at, moved)[1], (both - first - second) / 2 + _with_slope(most, right, at, turned)[1]
@@ -774,7 +811,10 @@ def sliders(inputs: Inputs, exp: Any = np.exp) -> Slider:
 
 
 def ends_of(inputs: Inputs, exp: Any = np.exp) -> Ends:
-    """Free end and machine; where there is none, one so far away, or so stiff, that no digit changes."""
+    """Free end and machine.
+
+    Where there is none, one so far away, or so stiff, that no digit changes.
+    """
     most = np.log(NO_END)
     sites, machine = (exp(inputs.more[name].clip(max=most)) if name in inputs.more else None for name in ENDED)
     return ENDLESS if sites is None and machine is None else Ends("semi-infinite" if sites is None else "free", sites, machine)
@@ -796,7 +836,7 @@ def _crack_status(lanes: Float[Array, "5 L"]) -> tuple[Array]:
 
 @jax.jit
 def _regime(slider: Slider) -> tuple[Array, Array, Array]:
-    """`Regime` of sliders, as one program: a dozen small ones take a third of a second to compile."""
+    """`Regime` of sliders, as one program, which compiles sooner than a dozen."""
     k1, k2 = slider.kappa_1, slider.kappa_2
     # the layer is free at the edge: in amplitudes of u_t, A_1 α_1 κ_1 + A_2 α_2 κ_2 = 0 (continuum)
     first, second = slider.alpha_2 * k2, -slider.alpha_1 * k1
