@@ -791,6 +791,11 @@ def test_a_block_pushed_through_a_machine(friction):
     assert found.length == pytest.approx(float(series.length[0]), rel=1e-12)
     assert found.load == pytest.approx(float(series.load[0]), rel=1e-12)
     assert found.length > 1.02 * sp.precursor_length(block, event="full")  # the spring goes on pushing
+    own, through = sp.series(soft, events=3), sp.series(block, Spring(0.2), events=3)
+    for name in ("load", "force_after", "length", "work"):
+        np.testing.assert_allclose(getattr(own, name), getattr(through, name), rtol=1e-12, err_msg=name)
+    with pytest.raises(ValueError, match="they are one spring"):
+        sp.series(soft, Spring(0.2), events=1)
     # what the machine pulls with is what the contacts carry
     for pinning, stress in ((0 * found.pinning, found.stress_before), (found.pinning, found.stress)):
         pusher = blocks.fields(soft, found.load, pinning).horizontal[0].max()  # the part of the side that moves as one
