@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slippulse_jax.block import Block
-from slippulse_jax.blocks.guide import Along, Slab, doubled, joined
+from slippulse_jax.blocks.guide import Along, Slab, Springs, doubled, joined, placed
 
 AT_INTERFACE = 0.25
 """Height of the elements at the interface, roughly, in λc."""
@@ -101,35 +101,62 @@ def along(block: Block, finer: int = 0) -> Along:
 
 
 def slabs(block: Block, finer: int = 0) -> tuple[Slab, Slab]:
-    """Elements over one contact, on the normal stiffness of the interface, without the spring of the contact.
+    """Elements over one contact, without the springs of the interface.
 
     Those over contact 0, from the pusher on, along a leading axis; and all over any other contact.
     """
-    corner, other = widths(block, finer)
+    corner, other = widths(finer)
     every = jax.vmap(lambda width: _column(block, heights(block, finer), width, along(block, finer)))(
-        jnp.append(corner, other[0])
+        jnp.asarray(np.append(corner, other[0]), jnp.asarray(block.height).dtype)
     )
     layers, slab = jax.tree.map(lambda x: x[:-1], every), jax.tree.map(lambda x: x[-1], every)
     for _ in range(HALVINGS + finer):
-        slab = doubled(slab, along(block, finer))
-    return layers, slab
+        slab = doubled(slab, along(block, finer), _in_a_row(2, len(slab.own)))
+    return placed(layers, _in_a_row(len(corner), layers.own.shape[-1])), slab
 
 
-def widths(block: Block, finer: int = 0) -> tuple[Float[Array, " m"], np.ndarray]:
+def _in_a_row(count: int, readings: int) -> Float[np.ndarray, "count s r"]:
+    """Where the readings of each of several slabs lie among those of all.
+
+    Of each they are the mean along the interface, which adds up, and perhaps nodes across it, the last the next slab's first.
+    """
+    every = np.zeros((count, 1 + (readings > 1) * (1 + count * (readings - 2)), readings))
+    every[:, 0, 0] = 1
+    for slab in range(count):
+        node = np.arange(slab > 0, readings - 1)
+        every[slab, 1 + slab * (readings - 2) + node, 1 + node] = 1
+    return every
+
+
+def springs(block: Block, finer: int = 0) -> tuple[Springs, Springs]:
+    """Springs of the interface beneath contact 0, and beneath any other."""
+    return tuple(_springs(block, width) for width in widths(finer))
+
+
+def _springs(block: Block, width: Float[np.ndarray, " m"]) -> Springs:
+    softness = 1 / jnp.asarray(block.stiffness).reshape(1, 1)
+    if block.normal_stiffness is None:
+        return softness, jnp.ones_like(softness)
+    nodes = np.stack([np.eye(2 * len(width) + 1)[:, at : at + 3] for at in range(0, 2 * len(width), 2)])
+    per_stiffness = np.linalg.inv(np.einsum("can,nm,cbm,c->ab", nodes, _PRODUCTS, nodes, width))
+    means = np.einsum("can,n,c->a", nodes, _MEANS, width)
+    readings = 1 if block.friction is None else 2
+    read = np.zeros((readings, 1 + len(means)))
+    read[0, 0], read[1:, 1:] = 1, means
+    across = softness / jnp.asarray(block.normal_stiffness) * per_stiffness
+    return jax.scipy.linalg.block_diag(softness, across), jnp.asarray(read, across.dtype)
+
+
+def widths(finer: int = 0) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " n"]]:
     """Widths of the elements over contact 0, from the pusher on, and over any other, in λc."""
     count = 2**finer
-    edge = jnp.linspace(0, 1, CORNER * count + 1, dtype=jnp.asarray(block.height).dtype) ** POWER
-    return jnp.diff(edge), np.full(2**HALVINGS * count, 0.5**HALVINGS / count)
+    return np.diff(np.linspace(0, 1, CORNER * count + 1) ** POWER), np.full(2**HALVINGS * count, 0.5**HALVINGS / count)
 
 
 def _column(block: Block, y: Float[Array, " nodes"], width: Array, along: Along) -> Slab:
     """One element over each height, without the nodes in their middle."""
     poisson, young = block.plane_constants
     every = young * jax.vmap(lambda height: element(width, height, poisson))(jnp.diff(y[::2]))
-    if block.normal_stiffness is not None:
-        below = jnp.array([1, 3, 5])  # u_y of the lower nodes
-        spring = jnp.asarray(block.normal_stiffness) * block.stiffness * width * _PRODUCTS
-        every = every.at[0, below[:, None], below].add(spring)
     keep, count = freedoms(block, y.size), y.size // 2
     # of each element row, column, u_x or u_y, twice; three rows are two of its own and the first of the next one's two
     every = jnp.pad(every.reshape(-1, 3, 3, 2, 3, 3, 2), ((0, 0), (0, 1), (0, 0), (0, 0), (0, 1), (0, 0), (0, 0)))
@@ -144,12 +171,16 @@ def _column(block: Block, y: Float[Array, " nodes"], width: Array, along: Along)
         whole = own[:, :, None] * same + up[:, :, None] * above + down[:, :, None] * below
         return _kept(_kept(whole.reshape(4 * count + 4, -1), keep).T, keep).T
 
-    # the contact reads the mean of u_x along the lower edges, and its pressure that of u_y
-    readings = 1 if block.friction is None else 2
-    side, middle, _ = (mean * width * jnp.eye(readings, keep.size, dtype=y.dtype) for mean in _MEANS)
+    # the contact reads the mean of u_x along the lower edges, springs across it read u_y of their nodes
+    readings = 1 if block.normal_stiffness is None else 4
+
+    def reading(node: int) -> Float[Array, "r n"]:
+        row = jnp.zeros((readings, keep.size), y.dtype).at[0, 0].set(_MEANS[node] * width)
+        return row if readings == 1 else row.at[1 + node, 1].set(1)
+
     own = jnp.zeros((readings, readings), y.dtype)
-    sides = Slab(assembled(0, 0), assembled(0, 2), assembled(2, 2), side, side, own)
-    return joined(sides, assembled(0, 1), assembled(1, 1), middle, along)
+    sides = Slab(assembled(0, 0), assembled(0, 2), assembled(2, 2), reading(0), reading(2), own)
+    return joined(sides, assembled(0, 1), assembled(1, 1), reading(1), along)
 
 
 def _kept(rows: Float[Array, "m n"], keep: np.ndarray) -> Float[Array, "k n"]:

@@ -71,9 +71,9 @@ class BlockPrecursor(eqx.Module):
 
 
 def unattached(block: Block, finer: int = 0) -> tuple[Edge, Slab]:
-    """The block as a waveguide without the springs of its contacts, on a mesh that is `finer` by so many halvings.
+    """The block as a waveguide without springs, which serves contacts of any stiffness.
 
-    Where its bottom may not move up or down it does not depend on the stiffness of the contacts.
+    On a mesh that is `finer` by so many halvings.
     """
     layers, slab = elements.slabs(block, finer)
     return waveguide.edge(layers, *elements.loaded(block, finer)), slab
@@ -83,7 +83,7 @@ def guide_of(block: Block, finer: int = 0, bare: tuple[Edge, Slab] | None = None
     """The block as a waveguide, its contacts attached; `bare` is what `unattached` makes of it."""
     length = None if block.length is None else jnp.asarray(block.length)
     edge, slab = unattached(block, finer) if bare is None else bare
-    return waveguide.guide(edge, slab, jnp.asarray(block.stiffness), elements.along(block, finer), length)
+    return waveguide.guide(edge, slab, elements.springs(block, finer), elements.along(block, finer), length)
 
 
 def contacts_of(

@@ -14,6 +14,10 @@ contact 0. The slider is the case n = 2; its columns are u_t and u.
 
 A second reading of the same columns is the mean across the interface, ⟨u_y⟩, of which nothing but the pressure takes notice.
 
+Slabs are made without the springs of the interface, which hold what the slabs read: the mean along it, and, if it gives way,
+the nodes across it. Springs of softness C on readings of own response s pull by (C + s)⁻¹, and leave C (C + s)⁻¹ of each
+reading. So the slab itself serves every stiffness of the contacts.
+
 A guide of L slabs with a free end is the half-infinite one without what pulls at its column L, the stiffness X: a force
 X (1 − G_L X)⁻¹ x_L on that column takes it away, x_L being its displacement in the half-infinite guide. So the end sends back
 whatever arrives. A slab is its own mirror image, so what a force on column L does is seen in a mirror, S, as far as it travels
@@ -40,6 +44,10 @@ DOUBLINGS = 40
 
 Along = tuple[int, ...]
 """Numbers of the freedoms of a column along the guide."""
+
+
+Springs = tuple[Float[Array, "r r"], Float[Array, "s r"]]
+"""Displacement of the springs of a slab per force, C; and what of their displacements is read once they are attached."""
 
 
 class Slab(NamedTuple):
@@ -94,6 +102,8 @@ class Guide(NamedTuple):
     transfer: Array  # T
     free: Array  # G_1, column 1 per force on it
     pushed: Array  # u_1, column 1 per unit of the load
+    bare: Edge  # without springs
+    pull: Float[Array, "r r"]  # of the springs of contact 0, per displacement of what holds them from that of the bare edge
     end: End | None = None
 
 
@@ -150,11 +160,19 @@ def _taken_away_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array])
     return found, share.T @ dX @ share + found @ dG @ found
 
 
-def doubled(slab: Slab, along: Along) -> Slab:
-    """Join two slabs in a row."""
-    read = slab.reading_right + slab.reading_left
-    apart = slab._replace(across=jnp.zeros_like(slab.across), own=2 * slab.own)
-    return joined(apart, slab.across, 2 * slab.left, read, along)
+def placed(slab: Slab, rows: Float[np.ndarray, "... s r"]) -> Slab:
+    """A slab whose readings lie among those of several in a row."""
+    own = rows @ slab.own @ jnp.swapaxes(rows, -1, -2)
+    return slab._replace(reading_left=rows @ slab.reading_left, reading_right=rows @ slab.reading_right, own=own)
+
+
+def doubled(slab: Slab, along: Along, rows: Float[np.ndarray, "2 s r"] | None = None) -> Slab:
+    """Join two slabs in a row; where the readings of either lie, the same ones by default."""
+    first, second = (slab, slab) if rows is None else (placed(slab, one) for one in rows)
+    apart = Slab(
+        slab.left, jnp.zeros_like(slab.across), slab.right, first.reading_left, second.reading_right, first.own + second.own
+    )
+    return joined(apart, slab.across, 2 * slab.left, first.reading_right + second.reading_left, along)
 
 
 def joined(
@@ -186,18 +204,25 @@ def _halves(along: Along, n: int) -> tuple[list[np.ndarray], np.ndarray]:
     return [np.flatnonzero(of_x).astype(np.int32), np.flatnonzero(~of_x).astype(np.int32)], np.where(of_x, 1.0, -1.0)
 
 
-def attached(slab: Slab, contact: Array) -> Slab:
-    """Attach the contact of a slab, of stiffness k; its readings are then those per displacement of the pinning point."""
-    own = slab.own[:, 0]
-    left, right, k = slab.reading_left[0], slab.reading_right[0], contact / (1 + contact * own[0])
+def attached(slab: Slab, springs: Springs) -> Slab:
+    """Attach the springs of a slab; its readings are then those per displacement of what holds them."""
+    pull, felt = _attached(slab.own, springs)
+    left, right = slab.reading_left, slab.reading_right
     return Slab(
-        slab.left + k * jnp.outer(left, left),
-        slab.across + k * jnp.outer(left, right),
-        slab.right + k * jnp.outer(right, right),
-        slab.reading_left - k * jnp.outer(own, left),
-        slab.reading_right - k * jnp.outer(own, right),
-        slab.own - k * jnp.outer(own, own),
+        slab.left + left.T @ pull @ left,
+        slab.across + left.T @ pull @ right,
+        slab.right + right.T @ pull @ right,
+        felt @ left,
+        felt @ right,
+        felt @ slab.own @ springs[1].T,
     )
+
+
+def _attached(own: Float[Array, "r r"], springs: Springs) -> tuple[Float[Array, "r r"], Float[Array, "s r"]]:
+    """Pull of springs, and what is left of readings."""
+    softness, read = springs
+    pull = inverse_of_definite(softness + own)
+    return pull, read @ softness @ pull  # 1 − own pull, which cancels where springs are stiff
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))
@@ -256,7 +281,7 @@ def _by_doubling(T: Float[Array, "n n"], first: Array, carried: Callable[[Array,
 
 
 def edge(layers: Slab, displaced: Float[Array, " n"], force: Float[Array, " n"]) -> Edge:
-    """Eliminate what lies left of column 1, but for the spring of contact 0.
+    """Eliminate what lies left of column 1, but for the springs of contact 0.
 
     The `layers` lie over contact 0 from the pusher on, along a leading axis; `displaced` is 1 for the freedoms of column 0 that
     move with the pusher, and `force` that on the others per unit of the load.
@@ -287,30 +312,32 @@ def edge(layers: Slab, displaced: Float[Array, " n"], force: Float[Array, " n"])
     return found._replace(layers=passed)
 
 
-def attached_edge(edge: Edge, contact: Array) -> Edge:
-    """Attach contact 0, of stiffness k; its readings are then those per displacement of the pinning point."""
-    own, row, direct = edge.own[:, 0], edge.reading[0], edge.direct[0]
-    k = contact / (1 + contact * own[0])
+def attached_edge(edge: Edge, springs: Springs) -> tuple[Edge, Float[Array, "r r"]]:
+    """Attach the springs of contact 0, and return their pull; readings as in `attached`."""
+    pull, felt = _attached(edge.own, springs)
+    row = edge.reading
     return Edge(
-        edge.stiffness + k * jnp.outer(row, row),
-        edge.load - k * direct * row,
-        edge.reading - k * jnp.outer(own, row),
-        edge.own - k * jnp.outer(own, own),
-        edge.direct - k * direct * own,
+        edge.stiffness + row.T @ pull @ row,
+        edge.load - row.T @ pull @ edge.direct,
+        felt @ row,
+        felt @ edge.own @ springs[1].T,
+        felt @ edge.direct,
         edge.layers,
-    )
+    ), pull
 
 
-def guide(edge: Edge, slab: Slab, contact: Array, along: Along, length: Int[Array, ""] | None = None) -> Guide:
+def guide(
+    edge: Edge, slab: Slab, springs: tuple[Springs, Springs], along: Along, length: Int[Array, ""] | None = None
+) -> Guide:
     """The guide of a slab on contacts; half-infinite, or of `length` slabs, two or more, with a free end.
 
-    Edge and slab are without the spring of their contact, k in K. The freedoms that are not `along` the guide are across it.
+    Edge and slab are without their springs. The freedoms that are not `along` the guide are across it.
     """
-    at_edge = attached_edge(edge, contact)
-    slab = attached(slab, contact)
+    at_edge, pull = attached_edge(edge, springs[0])
+    slab = attached(slab, springs[1])
     X = driving_point(slab, along)
     step, free = inverse_of_definite(X + slab.right), inverse_of_definite(X + at_edge.stiffness)
-    found = Guide(at_edge, slab, step, -step @ slab.across.T, free, free @ at_edge.load)
+    found = Guide(at_edge, slab, step, -step @ slab.across.T, free, free @ at_edge.load, edge, pull)
     if length is None:
         return found
     length, mirror = jnp.asarray(length), jnp.asarray(_halves(along, len(X))[1])
@@ -441,12 +468,12 @@ def columns(guide: Guide, contact: Array, load: Array, pinning: Float[Array, " N
     if guide.end is not None:
         last = guide.end.length - 1
         found = found + under(0 * load, jnp.zeros_like(force).at[last].set(guide.end.back @ found[last]))
-    # back through the layers over contact 0, which pulls at all of them
-    own = edge.reading[0] @ found[0] + edge.direct[0] * load + edge.own[0, 0] * contact * pinning[0]
-    pull = contact * (pinning[0] - own)
+    # back through the layers over contact 0, whose springs pull at all of them
+    bare = guide.bare
+    pull = guide.pull @ (jnp.zeros_like(bare.direct).at[0].set(pinning[0]) - bare.reading @ found[0] - bare.direct * load)
 
     def back_to(right: Array, layer: Layers) -> tuple[Array, None]:
-        return layer.displaced * load + layer.free @ (layer.load * load + layer.reading[0] * pull - layer.across @ right), None
+        return layer.displaced * load + layer.free @ (layer.load * load + layer.reading.T @ pull - layer.across @ right), None
 
     first = lax.scan(back_to, found[0], edge.layers, reverse=True)[0]
     return jnp.concatenate([first[None], found])

@@ -10,7 +10,7 @@ Many blocks are one `Block` of arrays (`many`), and an `Interface` of arrays as 
 import dataclasses
 import functools
 import warnings
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from functools import partial
 from typing import Any, TypeVar
 
@@ -43,8 +43,11 @@ TALL = 500.0
 """H/λc above which a length is extrapolated from larger contacts."""
 FOLLOWED, FARTHER = 256, 2048
 """Larger contacts that are followed: of any event, and of one that may run away and differs between contacts of two sizes."""
-BELOW_PUSH, ENOUGH = 60.0, 90
-"""Of those followed, how many lie below the push in the first trial, and the fewest that an event should break."""
+BELOW_PUSH, ENOUGH, BREAKING = 60.0, 90, 150
+"""Of those followed, how many lie below the push in the first trial; how many an event should break, at least, and where its
+length is known."""
+SMALLEST, OF_END = 4.0, 128
+"""Least H/λc of a block whose length is known, and most contacts followed of each height of one that ends."""
 MOST_HEIGHTS = 20
 """Distance, in heights, beyond which an event on larger contacts is not followed."""
 ALIKE = 0.1
@@ -182,9 +185,6 @@ def _known(given: Any, why: str = "a block needs sites, the number of contacts r
 # --- tall blocks, on larger contacts -----------------------------------------------------------------------------------
 
 Body = tuple[Block, Interface | None]
-Trials = Generator[tuple[float, int], tuple[float, int, int], Any]
-"""A search that asks for the event of a block at an H/λc, on a number of contacts, and is sent its length, how many broke, and
-its status."""
 
 
 def tall_length(block: Block, interface: Interface | None, kind: EventKind) -> tuple[Array, Array]:
@@ -225,6 +225,24 @@ def extrapolated(fine: Any, rough: Any, height: Any, tall: Any, b: Any) -> tuple
     return fine + correction * alike, abs(correction) * (1 - (1 - (b / 20).clip(0.25, 1)) * alike)
 
 
+def suited(length: float, own: float, end: float = np.inf, share: float = 1.0) -> float:
+    """H/λc of contacts of which an event of known ℓ/H breaks `BREAKING`; not more than its `own`.
+
+    A block that ends at L/H has a whole number of them, of twice their size too; of `OF_END` per height a `share` is followed.
+    """
+    height = 2 ** (round(2 * np.log2(BREAKING / max(length, 1e-3))) / 2)
+    height = float(min(height, max(own, SMALLEST)))
+    if np.isinf(end):
+        return height
+    most = min(height * end + 1e-9, max(2 * FOLLOWED, 1 << int(np.ceil(np.log2(OF_END * end)))) * share)
+    return 2 * max(int(most / 2), 2) / end
+
+
+def sites_at(height: float, end: float = np.inf) -> int:
+    """Contacts followed at H/λc: all of a block that ends at L/H, up to the next power of two."""
+    return FOLLOWED if np.isinf(end) else max(FOLLOWED, 1 << int(np.ceil(np.log2(end * height - 1e-6))))
+
+
 def _alike(fine: Any, rough: Any) -> Any:
     return abs(fine - rough) <= ALIKE * fine
 
@@ -239,58 +257,62 @@ def _coarser(body: Body, height: Any) -> Body:
     return contacts, eqx.tree_at(lambda x: x.threshold_slope, interface, interface.threshold_slope * larger)
 
 
-def _view(block: Block, interface: Interface | None) -> Trials:
-    """Look at an event on contacts of two sizes: H/λc of the finer ones, how many are followed, and both lengths in contacts.
+def _views(body: Body, kind: EventKind) -> Float[np.ndarray, "4 n"]:
+    """Look at the events of many blocks on contacts of two sizes.
 
-    The first length is inf where the event does not stop within what can be followed. The second, on contacts twice as large,
-    is not looked for where the first is on the block's own.
+    Rows are H/λc of the finer ones, how many are followed, and both lengths in contacts. The first length is inf where the
+    event does not stop within what can be followed. The second, on contacts twice as large, is not looked for where the first
+    is on the block's own.
 
     Ever finer contacts lengthen an event, near run-away without bound: one that stops on coarse contacts may never stop on
     finer ones. So its lengths on contacts of two sizes must be alike. Far from the edge the stress on the contact ahead tends
     to 2φ/(1 + R_ii), R_ii > 0: without a prestress of half the threshold, or falling thresholds, every front stops.
     """
-    push = 1.0 if block.push.height is None else block.push.height
-    carried = (0.0, 0.0) if interface is None else (interface.prestress, interface.threshold_slope)
-    tall, push, prestress, slope = (float(np.asarray(x)) for x in (block.height, push, *carried))
-    falling = slope < 0
-    lasting, endless = prestress > 0 or falling, 2 * prestress >= 1 or falling
-    if endless and not falling:
-        # an event that runs away on the largest contacts does so on smaller ones; falling thresholds reach zero before the last
-        largest = min(tall, FOLLOWED / MOST_HEIGHTS)
-        if (yield largest, FOLLOWED)[2] == Outcome.RAN_THROUGH:
-            return largest, FOLLOWED, np.inf, np.inf
-    sites = FOLLOWED
-    while True:
-        height, fine, bounded = yield from _fitting(tall, push, sites)
-        if height == tall or not np.isfinite(fine):
-            return height, sites, fine, fine
-        rough = (yield height / 2, sites)[0]
-        if _alike(fine, 2 * rough) or not lasting:
-            return height, sites, fine, rough
-        if sites == FARTHER:
-            return height, sites, np.inf if bounded and endless else fine, rough
-        sites = FARTHER
+    block, interface = body
+    tall = np.asarray(block.height, float)
+    prestress, slope = (0.0, 0.0) if interface is None else (interface.prestress, interface.threshold_slope)
+    falling = np.broadcast_to(np.asarray(slope) < 0, tall.shape)
+    lasting, endless = (np.asarray(prestress) > 0) | falling, (2 * np.asarray(prestress) >= 1) | falling
+    found = np.stack([tall, np.full_like(tall, FOLLOWED), *np.full((2, tall.size), np.inf)])
+    left = np.arange(tall.size)
+    # an event that runs away on the largest contacts does so on smaller ones; falling thresholds reach zero before the last
+    driven = np.flatnonzero(endless & ~falling)
+    found[0, driven] = np.minimum(tall[driven], FOLLOWED / MOST_HEIGHTS)
+    status = _events(_coarser(_some(body, driven), found[0, driven]), FOLLOWED, kind)[2]
+    left = np.setdiff1d(left, driven[status == Outcome.RAN_THROUGH])
+    for sites in (FOLLOWED, FARTHER):
+        height, fine, bounded = _fitting(_some(body, left), sites, kind)
+        found[:, left] = height, np.full_like(height, sites), fine, fine
+        larger = (height != tall[left]) & np.isfinite(fine)
+        left, bounded = left[larger], bounded[larger]
+        found[3, left] = _events(_coarser(_some(body, left), found[0, left] / 2), sites, kind)[0]
+        differ = ~_alike(found[2, left], 2 * found[3, left]) & lasting[left]
+        left, bounded = left[differ], bounded[differ]
+    found[2, left[bounded & endless[left]]] = np.inf
+    return found
 
 
-def _fitting(tall: float, push: float, sites: int) -> Trials:
-    """Find an H/λc, at most that of the block, at which an event fits `sites` contacts; ℓ there; whether finer ones did not.
+def _fitting(body: Body, sites: int, kind: EventKind) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Find H/λc, at most those of the blocks, at which events fit `sites` contacts; ℓ there; whether finer ones did not.
 
     An event should break `ENOUGH` of `FOLLOWED` contacts. One that breaks them all although they reach over `MOST_HEIGHTS` has
     no length (inf): on still larger contacts it would stop only because they are so large.
     """
-    finer, most = sites / FOLLOWED, tall
-    height = min(tall, BELOW_PUSH * finer / push)
-    while True:
-        length, broken, status = yield height, sites
+    finer, tall = sites / FOLLOWED, np.asarray(body[0].height, float)
+    push = 1.0 if body[0].push.height is None else np.asarray(body[0].push.height)
+    height, most, length = np.minimum(tall, BELOW_PUSH * finer / push), tall.copy(), np.empty_like(tall)
+    left = np.arange(tall.size)
+    while left.size:
+        at = height[left]
+        length[left], broken, status = _events(_coarser(_some(body, left), at), sites, kind)
         through = status == Outcome.RAN_THROUGH
-        if through:
-            most = height / 1.5
-        if through and height * MOST_HEIGHTS >= 1.5 * sites:
-            height = most
-        elif not through and height < most and broken < ENOUGH * finer:
-            height = min(height * min(max(1.5 * ENOUGH * finer / max(broken, 1), 1.5), 16.0), most)
-        else:
-            return height, length, most < tall
+        most[left] = np.where(through, at / 1.5, most[left])
+        factor = np.clip(1.5 * ENOUGH * finer / np.maximum(broken, 1), 1.5, 16.0)
+        height[left] = np.where(through, most[left], np.minimum(at * factor, most[left]))
+        again = np.where(through, at * MOST_HEIGHTS >= 1.5 * sites, (at < most[left]) & (broken < ENOUGH * finer))
+        height[left[~again]] = at[~again]
+        left = left[again]
+    return height, length, most < tall
 
 
 # --- many blocks -------------------------------------------------------------------------------------------------------
@@ -327,14 +349,13 @@ def lengths(block: Block, interface: Interface | None, kind: EventKind) -> Float
     tall, short = (np.nonzero(side)[0] for side in (height > TALL, height <= TALL))
     found = np.empty(height.size)
     found[tall] = tall_lengths(*_some(body, tall), kind)[0]
-    if short.size:
-        found[short], _, status = _events(_some(body, short), FOLLOWED, kind)
-        for i in short[status == Outcome.RAN_THROUGH]:
-            try:
-                with jax.enable_x64(True):
-                    found[i] = precursor_length(*_some(body, i), None, HARD, kind)
-            except NotFollowed:
-                found[i] = np.inf
+    found[short], _, status = _events(_some(body, short), FOLLOWED, kind)
+    for i in short[status == Outcome.RAN_THROUGH]:
+        try:
+            with jax.enable_x64(True):
+                found[i] = precursor_length(*_some(body, i), None, HARD, kind)
+        except NotFollowed:
+            found[i] = np.inf
     return found
 
 
@@ -351,30 +372,15 @@ def tall_lengths(block: Block, interface: Interface | None, kind: EventKind) -> 
     return np.where(endless, np.inf, found), np.where(endless, np.asarray(block.height), error)
 
 
-def _views(body: Body, kind: EventKind) -> Float[np.ndarray, "4 n"]:
-    """What `_view` finds of every block, their trials side by side."""
-    searches = [_view(*_some(body, i)) for i in range(np.size(body[0].height))]
-    asked, found = {i: next(search) for i, search in enumerate(searches)}, np.empty((4, len(searches)))
-    while asked:
-        sites = min(sites for _, sites in asked.values())
-        which = [i for i in asked if asked[i][1] == sites]
-        coarser = _coarser(_some(body, np.array(which)), np.array([asked[i][0] for i in which]))
-        for i, *answer in zip(which, *_events(coarser, sites, kind), strict=True):
-            try:
-                asked[i] = searches[i].send(tuple(answer))
-            except StopIteration as end:
-                found[:, i] = end.value
-                del asked[i]
-    return found
-
-
 def _some(body: Body, which: Any) -> Body:
     """Some of many blocks, or one."""
     return jax.tree.map(lambda x: x[which], body)
 
 
 def _events(body: Body, sites: int, kind: EventKind) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Lengths, contacts broken and statuses of many blocks; shapes (n,)."""
+    """Lengths, contacts broken and statuses of many blocks, or of none; shapes (n,)."""
+    if not np.size(body[0].height):
+        return np.empty(0), np.empty(0), np.empty(0)
     length, broken, status = followed(body, np.asarray(body[0].stiffness)[:, None], sites, kind)[:, :, 0, 0]
     lost = ~np.isin(status, (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.REBREAK, Outcome.RAN_THROUGH, Outcome.LIFT_OFF))
     if lost.any():
@@ -392,8 +398,8 @@ def followed(
 ) -> Float[np.ndarray, "3 n m f"]:
     """Length, contacts broken and status of the events of many blocks, each at several contact stiffnesses.
 
-    Where the bottom of a block may not move up or down, the block itself is computed once for all stiffnesses. With `friction`,
-    each is followed at several coefficients of it, and its response is computed once for all. NaN asks for nothing.
+    The block itself is computed once for all stiffnesses. With `friction`, each is followed at several coefficients of it, and
+    its response is computed once for all. NaN asks for nothing.
     """
     if friction is not None:
         block = eqx.tree_at(lambda x: x.friction, body[0], np.ones(len(stiffness)))
@@ -412,7 +418,7 @@ def _followed(tree: Any, stiffnesses: int, frictions: int, sites: int, kind: Eve
         block, interface = jax.tree.unflatten(tree, list(numbers[:first]))
         if block.length is not None:
             block = eqx.tree_at(lambda x: x.length, block, jnp.rint(block.length).astype(jnp.int32))
-        bare = blocks.unattached(block) if block.normal_stiffness is None else None
+        bare = blocks.unattached(block)
         asked = numbers[first + stiffnesses :] if frictions else jnp.zeros(1)
 
         def at(k: Array) -> Float[Array, "f 3"]:

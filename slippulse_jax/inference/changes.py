@@ -281,13 +281,30 @@ def _of_bodies(result: "FitResult") -> Iterator[Change]:
         assert m.push_height is not None
         at = np.clip(m.push_height, NARROW * m.height, (1 - NARROW) * m.height)
         narrow = dataclasses.replace(m, push_height=at, push_width=NARROW * m.height)
-        yield _again(result, "push_width", f"a pusher {NARROW_PUSHER} (column push_width{unit} states it)", [narrow], stiff)
+        yield _again(
+            result,
+            "push_width",
+            f"a pusher {NARROW_PUSHER} (column push_width{unit} states it)",
+            [narrow],
+            stiff,
+            front=BlockEvent(narrow, tried=True),
+        )
     if not block and relaxed and m.push_height is None and q.front.event == "domino" and not m.or_zero("threshold_slope").any():
         lengths = dataclasses.replace(m, **dict.fromkeys(BlockEvent.refused))
         wanted = [one for one in q.wanted if one.name != "strength"]
         pushed = [dataclasses.replace(lengths, push_height=at * m.height) for at in PUSHES]
         what = f"a real block, pushed from {', '.join(map(str, PUSHES))} H up (column push_height{unit} fits one)"
-        yield _again(result, "block", what, pushed, stiff, wanted=wanted, event="full", body="block")
+        yield _again(
+            result,
+            "block",
+            what,
+            pushed,
+            stiff,
+            wanted=wanted,
+            event="full",
+            body="block",
+            front=BlockEvent(*pushed, tried=True),
+        )
     if block:
         wanted = [one for one in q.wanted if one.name != "friction"]
         tried, what = (0.0,), "thresholds that do not follow the pressure (μ = 0)"
@@ -295,11 +312,11 @@ def _of_bodies(result: "FitResult") -> Iterator[Change]:
             tried = PRESSED
             what = "thresholds that follow the pressure, at μ = {:g} or {:g} (column friction)".format(*PRESSED)
         pressed = [dataclasses.replace(m, friction=np.full(len(m), mu), friction_sigma=None) for mu in tried]
-        yield _again(result, "pressure", what, pressed, stiff, wanted=wanted, front=BlockEvent(*pressed))
+        yield _again(result, "pressure", what, pressed, stiff, wanted=wanted, front=BlockEvent(*pressed, tried=True))
         if m.friction is not None and m.normal_stiffness is None:
             what = "k_n/k of {:g} or {:g}, for {:g} (column normal_stiffness states it)".format(*NORMAL, USUAL_NORMAL_STIFFNESS)
             sprung = [dataclasses.replace(m, normal_stiffness=np.full(len(m), ratio)) for ratio in NORMAL]
-            yield _again(result, "normal_stiffness", what, sprung, stiff, front=BlockEvent(*sprung))
+            yield _again(result, "normal_stiffness", what, sprung, stiff, front=BlockEvent(*sprung, tried=True))
     if q.front.event in ("domino", "full"):  # not studied for others
         ends = tuple(-math.log1p(-share) for share in SCATTERING)
         what = "thresholds that scatter by 5 % between contacts (found for sliders of b = 0.3 to 3)"

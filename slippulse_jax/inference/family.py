@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from tqdm.auto import tqdm
 
-from slippulse_jax.blocks.size import FOLLOWED, MOST_HEIGHTS, extrapolated, followed, many, tall_lengths
+from slippulse_jax.blocks.size import FOLLOWED, MOST_HEIGHTS, extrapolated, followed, many, sites_at, suited, tall_lengths
 from slippulse_jax.bulk.chunks import distinct_rows, workers
 from slippulse_jax.inference.inputs import Inputs
 from slippulse_jax.inference.interpolation import Grid
@@ -53,22 +53,16 @@ ALIKE = 2.0
 """Factor from a measured length up to which the first nodes are computed on contacts of two sizes."""
 FAR, LIKE = 4.0, 1.25
 """Factor below the measured lengths from which on an event is of another kind, and up to which one is like them."""
-BREAKING = 150
-"""Contacts that an event as long as measured should break, of those that are followed."""
 PARTS = 8
 """Into how many parts a step of friction is divided where a length falls within it."""
-SMALLEST = 4.0
-"""Least H/λc of a block that is followed: its larger contacts are twice as large."""
 TALLEST = 1e5
 """H/λc of a block at which λc/H is taken as 0."""
 LOWEST, NARROWEST, STEEPEST = 0.005, 0.02, 0.99
 """Least distance of a push from the corners of the side, the least width of a patch, over H; and largest |ν| and |φ|."""
-OF_END = 128
-"""Contacts of each height of a block that ends, at most; their number is a power of 2, and at least twice `FOLLOWED`."""
 MANY = 20
 """Values of b at which a block that was not measured is looked at, above which it is followed."""
 TOGETHER = 32
-"""Events of one block computed at once: at several b, or, where the pressure is read, at several coefficients of friction."""
+"""Most values of b of one block that are followed at once, and most coefficients of friction."""
 COMPILING, AN_EVENT, FEW = 10, 0.1, 40
 """Usual times in s to compile, and of an event; and how many of these take no time worth a word."""
 
@@ -95,12 +89,21 @@ class Family:
     """
 
     def __init__(
-        self, events: "Events", geometry: Geometry, target: tuple[float, float], height: float, *, measured: bool = True
+        self,
+        events: "Events",
+        geometry: Geometry,
+        target: tuple[float, float],
+        height: float,
+        *,
+        measured: bool = True,
+        tried: bool = False,
     ) -> None:
         self.events, self.geometry, self.target, self.height = events, geometry, target, height
         self.endless = bool(np.isinf(geometry[RATIO]))
         self.driven = self.endless and geometry[PRESTRESS] > 0  # such an event may go on for ever
         self.measured = measured and not self.driven
+        self.at_falls, self.at_ends = (BESIDE, BESIDE) if tried or not self.measured else (1, AT_ENDS)
+        self.near = {WIDEST: NEAR[WIDEST]} if tried else NEAR
         events.expect(geometry, height, height / 2)
         self.nodes: set[int] = set()
         self.drawn: tuple[frozenset[int], Any] = frozenset(), None
@@ -177,11 +180,12 @@ class Family:
         for left, right in itertools.pairwise(sorted(self.nodes)):
             apart, (a, b) = right - left, sorted((self.node(left).length, self.node(right).length))
             if _falls(a, b, low, high):
-                near = apart > (1 if self.measured else BESIDE)
+                near = apart > self.at_falls
             elif _kind(a) != _kind(b):
-                near = apart > (AT_ENDS if self.measured else BESIDE) and b > low / FAR
+                near = apart > self.at_ends and b > low / FAR
             else:
-                near = _kind(a) == 1 and apart in NEAR and b * NEAR[apart] > low and a / NEAR[apart] < high
+                factor = self.near.get(apart, 0.0)
+                near = _kind(a) == 1 and b * factor > low and a < high * factor
             if near:
                 found.add((left + right) // 2)
         return found
@@ -231,8 +235,8 @@ class Family:
 class Families:
     """Lengths of whole events of measured blocks and of any others."""
 
-    def __init__(self, events: "Events | None" = None) -> None:
-        self.events = Events() if events is None else events
+    def __init__(self, events: "Events | None" = None, *, tried: bool = False) -> None:
+        self.events, self.tried = Events() if events is None else events, tried
         self.measured: list[Family] = []
         self.beside: dict[tuple[int, int], Family] = {}  # by parts of a step of friction from a measured one
         self.ratios: dict[tuple[int, int], Grid] = {}  # along an axis from a measured one
@@ -252,7 +256,8 @@ class Families:
             here = own == i
             target = float(ratio[here].min()), float(ratio[here].max())
             largest = float(np.broadcast_to(height, own.shape)[here].max())
-            self.measured.append(Family(self.events, tuple(row), target, _height(tuple(row), target, largest)))
+            own_height = _height(tuple(row), target, largest)
+            self.measured.append(Family(self.events, tuple(row), target, own_height, tried=self.tried))
         return self
 
     def __call__(self, inputs: Inputs) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
@@ -463,30 +468,18 @@ def _ratio(geometry: Geometry) -> float:
     return float(np.exp(geometry[RATIO]))
 
 
-def _most_sites(geometry: Geometry) -> int:
-    """Most contacts that are followed of a block that ends.
-
-    Half as many where balancing them takes iterations.
-    """
-    halves = 1 + int(geometry[MULTICONTACT])
-    return max(2 * FOLLOWED, 1 << int(np.ceil(np.log2(OF_END * _ratio(geometry))))) // halves
-
-
 def _sites(geometry: Geometry, height: float) -> int:
-    """Contacts that are followed: all of a block that ends."""
-    ratio = _ratio(geometry)
-    return FOLLOWED if np.isinf(ratio) else max(FOLLOWED, 1 << int(np.ceil(np.log2(ratio * height - 1e-6))))
+    """Contacts that are followed."""
+    return sites_at(height, _ratio(geometry))
 
 
 def _height(geometry: Geometry, target: tuple[float, float], own: float) -> float:
-    """H/λc on whose contacts a measured block is followed, by its length."""
-    ratio = _ratio(geometry)
-    height = 2 ** (round(2 * np.log2(BREAKING / max(np.sqrt(target[0] * target[1]), 1e-3))) / 2)
-    height = float(min(height, max(own, SMALLEST)))
-    if not np.isfinite(ratio):
-        return height
-    most = min(height * ratio + 1e-9, _most_sites(geometry))
-    return 2 * max(int(most / 2), 2) / ratio  # whole contacts of either size
+    """H/λc on whose contacts a measured block is followed.
+
+    Half as many where balancing them takes iterations.
+    """
+    share = 0.5 if geometry[MULTICONTACT] else 1.0
+    return suited(np.sqrt(target[0] * target[1]), own, _ratio(geometry), share)
 
 
 def _kinds(geometry: Float[np.ndarray, "n g"]) -> Float[np.ndarray, "n f"]:
@@ -569,7 +562,7 @@ def _kind(value: float) -> int:
 class Events:
     """Whole events, each followed once for the object that asks for them.
 
-    The response of a block under pressure serves every coefficient of friction: each event brings those of all expected.
+    A block serves every b, and under pressure its response at a b every coefficient of friction: that of all expected.
     """
 
     def __init__(self) -> None:
@@ -586,19 +579,22 @@ class Events:
 
         ℓ/H is inf where one leaves the contacts followed, or the block lifts off.
         """
-        lanes: dict[Key | tuple[Geometry, float], list[Key]] = {}
-        for geometry, height, j in dict.fromkeys(keys):
-            if (geometry, height, j) in self.known:
-                continue
-            # computed for all that share a response, or at least the block itself
-            place = (_without_friction(geometry), height, j) if _is_pressed(geometry) else (geometry, height)
-            lanes.setdefault(place, []).append((geometry, height, j))
-        for (without, height, j), every in [(place, every) for place, every in lanes.items() if len(place) == 3]:
-            others = [(geometry, height, j) for geometry in self.expected.get((without, height), ())]
-            every += [key for key in others if key not in self.known and key not in every][: max(TOGETHER - len(every), 0)]
-        parts = [every[i : i + TOGETHER] for every in lanes.values() for i in range(0, len(every), TOGETHER)]
-        if not parts:
+        asked: dict[tuple[Geometry, float], tuple[dict[Geometry, None], dict[int, None]]] = {}
+        for geometry, height, j in keys:
+            if (geometry, height, j) not in self.known:
+                place = (geometry if np.isinf(height) else _without_friction(geometry)), height
+                geometries, nodes = asked.setdefault(place, ({}, {}))
+                geometries[geometry], nodes[j] = None, None
+        if not asked:
             return
+        at_once = min(-(-sum(len(nodes) for _, nodes in asked.values()) // workers()), TOGETHER)
+        parts = []
+        for (without, height), (geometries, nodes) in asked.items():
+            for other in self.expected.get((without, height), ()):
+                if any((other, height, j) not in self.known for j in nodes):
+                    geometries[other] = None
+            for some, at in itertools.product(_in_parts(geometries, TOGETHER), _in_parts(nodes, at_once)):
+                parts.append([(geometry, height, j) for geometry in some for j in at])
         for alike in _alike(np.array([part[0][0] for part in parts]), np.array([part[0][1] for part in parts])):
             for some in self.announced([parts[i] for i in alike]):
                 of_their_own = np.isinf(some[0][0][1])
@@ -623,23 +619,32 @@ class Events:
                 bar.update(sum(map(len, every[start : start + workers()])))
 
 
+def _in_parts(every: Iterable[Any], size: int) -> list[list[Any]]:
+    """Cut into parts of at most `size`."""
+    every = list(every)
+    return [every[i : i + size] for i in range(0, len(every), size)]
+
+
 def _of_one_size(parts: list[list[Key]]) -> list[Node]:
     """ℓ/H of blocks of one kind.
 
-    Each part is of one block at several b, or at several coefficients of friction.
+    Each part is of one block, at every one of its coefficients of friction and, at each of these, values of b.
     """
     geometry, height = (np.array([part[0][i] for part in parts]) for i in (0, 1))
-    pressed = _is_pressed(parts[0][0][0])
-    every = [[key[0][FRICTION] if pressed else UNIT * key[2] for key in part] for part in parts]
-    varied = np.array([(row + [np.nan] * TOGETHER)[:TOGETHER] for row in every])
-    log_b = np.array([[UNIT * part[0][2]] for part in parts]) if pressed else varied
+    friction, log_b = np.full((2, len(parts), TOGETHER), np.nan)
+    shapes = []
+    for i, part in enumerate(parts):
+        coefficients, nodes = (
+            list(dict.fromkeys(every)) for every in zip(*((key[0][FRICTION], key[2]) for key in part), strict=True)
+        )
+        friction[i, : len(coefficients)], log_b[i, : len(nodes)] = coefficients, UNIT * np.array(nodes)
+        shapes.append((len(nodes), len(coefficients)))
     block, interface = _bodies(geometry, height)
     stiffness = np.exp(log_b) / (2 * (1 + block.poisson) * block.height)[:, None]
-    friction = np.maximum(varied, 0) if pressed else None
-    length, _, status = followed((block, interface), stiffness, _sites(*parts[0][0][:2]), "full", friction)
-    endless = np.isin(status, (Outcome.RAN_THROUGH, Outcome.LIFT_OFF))
-    length = (np.where(endless, np.inf, length) / block.height[:, None, None]).reshape(len(parts), TOGETHER)
-    return [Node(float(value)) for part, row in zip(parts, length, strict=True) for value in row[: len(part)]]
+    pressed = np.maximum(friction, 0) if _is_pressed(parts[0][0][0]) else None
+    length, _, status = followed((block, interface), stiffness, _sites(*parts[0][0][:2]), "full", pressed)
+    length = np.where(np.isin(status, (Outcome.RAN_THROUGH, Outcome.LIFT_OFF)), np.inf, length) / block.height[:, None, None]
+    return [Node(float(x)) for one, (m, f) in zip(length, shapes, strict=True) for x in one[:m, :f].T.ravel()]
 
 
 def _driven(parts: list[list[Key]]) -> list[Node]:

@@ -555,9 +555,12 @@ class BlockEvent(Front):
     }
     """What measurements may state beside lengths, and a fit of a block cannot take; and what a block it takes instead."""
 
-    def __init__(self, *tables: Measurements) -> None:
-        """Follow blocks like those measured from theirs, in any of the tables."""
-        self.followed = Families()
+    def __init__(self, *tables: Measurements, tried: bool = False) -> None:
+        """Follow blocks like those measured from theirs, in any of the tables.
+
+        Blocks that are `tried`, for what they would make of a fit, are followed at fewer stiffnesses.
+        """
+        self.followed = Families(tried=tried)
         whole = [m for m in tables if m.push_height is not None and not np.isnan(m.push_height).any()]
         for m in whole:
             own = Inputs.of(m.height, 1.0, m.poisson, m.or_zero("prestress")).given(**self.stated(m))
