@@ -147,8 +147,8 @@ def chain(
         check_domain(name, as_float(value), inside, f"must be {domain}")
         array = at_least_single(jnp.asarray(value))
         # a Python number takes the slider's precision: a weak type would compile another program
-        given = jnp.issubdtype(array.dtype, jnp.inexact) and not array.weak_type
-        return jnp.broadcast_to(array if given else array.astype(q.dtype), (count,))
+        typed = jnp.issubdtype(array.dtype, jnp.inexact) and not array.weak_type
+        return jnp.broadcast_to(array if typed else array.astype(q.dtype), (count,))
 
     K_T, q = slider.K_T, jnp.asarray(slider.stiffness)
     zero = jnp.zeros_like(K_T)

@@ -63,7 +63,8 @@ class Ageing(eqx.Module):
         nu, tau = jnp.asarray(self.newborn), self.load_scale(velocity)
         old = jnp.isinf(age)
         x = jnp.where(old, 0, age) / tau
-        grown = -jnp.expm1(-x) if self.law == "exponential" else jnp.minimum(jnp.log1p(x) / jnp.log(2.0), 1)
+        # of the two slopes at x = 1 that of what follows, as `next_crossing` needs it
+        grown = -jnp.expm1(-x) if self.law == "exponential" else jnp.where(x < 1, jnp.log1p(x) / jnp.log(2.0), 1)
         return jnp.where(old, 1, nu + (1 - nu) * grown)
 
     def load_scale(self, velocity: Array | float) -> Array:

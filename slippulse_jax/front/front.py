@@ -160,10 +160,10 @@ def taken_back(
     position = front.position - 1
     growth, e = guide.growth, echo(position)
     Q, before = growth[:, None] * growth[None] * front.reflected, growth * front.stress
-    given = guide.weight + (Q if e is None else Q * e[None]).sum(1)
-    seen, own = (x if e is None else e * x for x in (before, given))
+    per_stress = guide.weight + (Q if e is None else Q * e[None]).sum(1)
+    seen, own = (x if e is None else e * x for x in (before, per_stress))
     released = (prestress + seen.sum(0, keepdims=True)) * inverse(1 + own.sum(0, keepdims=True))
-    return Front(before - given * released, Q, None, position), released
+    return Front(before - per_stress * released, Q, None, position), released
 
 
 # --- where a front ends ------------------------------------------------------------------------------------------------
