@@ -84,15 +84,12 @@ class Push(eqx.Module):
         If it does not lie on the side; values traced by JAX are not checked.
     """
 
-    height: Float[Real, ""] | None = eqx.field(default=None, converter=_float_or_none)
-    width: Float[Real, ""] | None = eqx.field(default=None, converter=_float_or_none)
+    height: Float[Real, ""] | None = None
+    width: Float[Real, ""] | None = None
     control: Control = eqx.field(default="displacement", static=True)
 
-    if TYPE_CHECKING:  # types that the converters accept
-
-        def __init__(
-            self, height: Numbers | None = None, width: Numbers | None = None, control: Control = "displacement"
-        ) -> None: ...
+    def __init__(self, height: Numbers | None = None, width: Numbers | None = None, control: Control = "displacement") -> None:
+        self.height, self.width, self.control = _float_or_none(height), _float_or_none(width), control
 
     def __check_init__(self) -> None:
         check_choice("Push.control", self.control, Control)

@@ -92,6 +92,16 @@ class System(eqx.Module):
     lattice: bool = eqx.field(static=True)
 
     @property
+    def weight(self) -> Float[Array, "2 *lanes"]:
+        """w_m; on a line W_m."""
+        return self.coupling / (1 - self.gap) if self.lattice else self.coupling
+
+    @property
+    def reflection(self) -> Float[Array, "2 2 *lanes"]:
+        """R_mn."""
+        return self.reflected / (1 - self.gap)[:, None] if self.lattice else self.reflected
+
+    @property
     def mode_rate(self) -> Float[Array, "2 *lanes"]:
         """−ln r_m."""
         half = self.level_rate / 2
@@ -548,17 +558,15 @@ def sums_from_edge(series: Series, s: Lanes) -> Float[Array, "2 *lanes"]:
 
 
 @in_full
-def fields(
-    series: Series, weight: Array, reflection: Array, s: Array, x: Array, initial: Array | None = None
-) -> tuple[Float[Array, "2"], Float[Array, ""]]:
+def fields(series: Series, s: Array, x: Array, initial: Array | None = None) -> tuple[Float[Array, "2"], Float[Array, ""]]:
     """Parts of the layer's displacement at x in the two modes, and the stress there, with the front at s; scalars.
 
     Ahead of the front V_m(s) decays. Behind it contacts were repinned at zero stretch, and later breaks loaded them by
 
         Σ_m w_m X_m + Σ_mn R_mn (r_m r_n)^x X_n,     X_m = Σ_{x≤j<s} r_m^{j−x} t(j),
 
-    and on a line the integral. Of a regular table, with its `weight` w_m and `reflection` R_mn; `initial` is V_m at s = 0 where
-    the series begins only once contact 0 has broken.
+    and on a line the integral. Of a regular table; `initial` is V_m at s = 0 where the series begins only once contact 0 has
+    broken.
     """
     rate, behind = series.system.mode_rate, x < s
     at, beyond = jnp.where(behind, x, s), jnp.where(behind, 0, x - s)  # not min and max: one-sided derivatives at x = s
@@ -566,7 +574,7 @@ def fields(
     if initial is not None:
         front = jnp.where(s == 0, initial, front)
     later, decay = stress_sums(series, at, s), jnp.exp(-x * rate)
-    back = weight * later + decay * (reflection @ (decay * later))
+    back = series.system.weight * later + decay * (series.system.reflection @ (decay * later))
     mode = jnp.exp(-beyond * rate) * front + back
     return mode, jnp.where(behind, back.sum(), series.system.prestress + mode.sum())
 
@@ -576,8 +584,7 @@ def edge_stress(series: Series, broken: Lanes) -> Lanes:
 
     Every break adds to it, so that the stress at the arrest is the largest on the way.
     """
-    ratio = 1 - series.system.gap
-    reached = series.system.coupling / ratio + (series.system.reflected / ratio[:, None]).sum(0)
+    reached = series.system.weight + series.system.reflection.sum(0)
     if series.echo is None:
         return (reached * sums_from_edge(series, broken)).sum(0)
     return (reached * stress_sums(series, jnp.zeros_like(broken), broken)).sum(0)

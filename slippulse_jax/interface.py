@@ -18,18 +18,6 @@ from slippulse_jax.shown import in_a_line
 from slippulse_jax.units import Numbers, as_float, quantity_field
 
 
-def check_contacts(owner: str, threshold: AnyArrayLike, prestress: AnyArrayLike) -> None:
-    """Check thresholds and prestresses of contacts, scalars or one per site, where they are not traced.
-
-    A ValueError names a value outside its domain after `owner`, and its site.
-    """
-    THRESHOLD.check(f"{owner}threshold", threshold)
-    if isinstance(prestress, Tracer) or isinstance(threshold, Tracer):
-        return
-    carried, most = np.broadcast_arrays(np.asarray(prestress, dtype=float), np.asarray(threshold))
-    check_domain(f"{owner}prestress", carried, lambda x: abs(x) < most, "must lie within the threshold of its contact, in σ_s")
-
-
 def check_bulk(interface: "Interface | None") -> None:
     """Check that the numbers of `interface` broadcast with a slider's, as those of a `Profile` do not.
 
@@ -40,6 +28,12 @@ def check_bulk(interface: "Interface | None") -> None:
             f"interface = {type(interface).__name__}(…): must be an Interface, whose numbers broadcast with the slider's; "
             "for the Profile of one slider use precursor_length or first_precursor"
         )
+
+
+def check_no_delay(interface: "Interface | Profile | None", why: str) -> None:
+    """Refuse an interface that repins after a delay, with the reason or what to do instead."""
+    if interface is not None and interface.repin_delay:
+        raise ValueError(f"interface.repin_delay = {interface.repin_delay}: {why}")
 
 
 def _python_int(x: Any) -> Any:
@@ -160,7 +154,11 @@ class Profile(eqx.Module):
             raise ValueError(
                 f"Profile.prestress has shape {np.shape(self.prestress)}: must be () or {np.shape(self.threshold)}"
             )
-        check_contacts("Profile.", self.threshold, self.prestress)
+        THRESHOLD.check("Profile.threshold", self.threshold)
+        if not isinstance(self.prestress, Tracer) and not isinstance(self.threshold, Tracer):
+            carried, most = np.broadcast_arrays(np.asarray(self.prestress, dtype=float), np.asarray(self.threshold))
+            requirement = "must lie within the threshold of its contact, in σ_s"
+            check_domain("Profile.prestress", carried, lambda x: abs(x) < most, requirement)
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -19,6 +19,7 @@ from slippulse_jax.domains import check_kind
 from slippulse_jax.events.event import MORE_SITES
 from slippulse_jax.events.first import length_of
 from slippulse_jax.exact import bulk as exact_lanes
+from slippulse_jax.exact.crossing import expected_length
 from slippulse_jax.front import lanes
 from slippulse_jax.front.arrest import arrest, check_at_once, check_max_contacts, report_without_length
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, Arrest, EventKind, LengthDerivatives, check_event
@@ -140,7 +141,9 @@ def lengths(
     else:
         kernel, layout = lanes.length_kernel(max_contacts), LENGTHS
         if not _is_simple(interface, ends):
-            own = _seven(slider, interface, ends)
+            # a missing end is too far, a missing machine too stiff, to matter
+            sites, machine = (NO_END if x is None else np.where(np.isinf(x), NO_END, x) for x in (ends.sites, ends.machine))
+            own = _columns(slider, interface or Interface(), HARD, Ends(ends.right, sites, machine))[0]
             right = "free" if ends.right == "semi-infinite" else ends.right  # a chain without end has a free one at `NO_END`
             kernel, layout = lanes.length_kernel(max_contacts, right), ENDED
         long = exact_lanes.which_are_long(columns) if len(columns) == 3 and max_contacts > exact_lanes.LONG else ()
@@ -310,12 +313,6 @@ def _is_simple(interface: Interface | None, ends: Ends) -> bool:
     return ends.sites is None and ends.machine is None and (interface is None or interface.repin_delay == 0)
 
 
-def _seven(slider: Slider, interface: Interface | None, ends: Ends) -> list[Float[np.ndarray, " n"]]:
-    """Seven numbers per lane for `lanes.length_kernel`; a missing end is too far, a missing machine too stiff, to matter."""
-    sites, machine = (NO_END if x is None else np.where(np.isinf(x), NO_END, x) for x in (ends.sites, ends.machine))
-    return _columns(slider, interface or Interface(), HARD, Ends(ends.right, sites, machine))[0]
-
-
 def _columns(
     slider: Slider, interface: Interface | None, rule: BreakRule, ends: Ends
 ) -> tuple[list[Float[np.ndarray, " n"]], Any, Any]:
@@ -330,12 +327,8 @@ def _columns(
 
 def length_rank(lanes: Lanes) -> np.ndarray:
     """Rank by the leading term of Eq. (25), ln[2/(1+β)]/κ_2, in steps of a thousandth; uint16, which NumPy sorts by digits."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        height, stiffness, poisson = (field.astype(np.float32) for field in lanes[:3])
-        shape = 2 * (1 + poisson)
-        b = shape * stiffness * height
-        # ln(1 + x) ≈ 2x/(2 + x) at x = b/(2 + b), and 1/κ_2 = H √[shape (1 + 1/b)]
-        expected = 2 * height * np.sqrt(shape * b * (1 + b)) / (4 + 3 * b)
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        expected = expected_length(*(field.astype(np.float32) for field in lanes[:3]))
     # the leading bits of a floating-point number are in its own order; from 2^-10 on
     bits = np.maximum(expected, np.float32(2**-10)).view(np.int32) >> 13
     return np.minimum(bits - ((127 - 10) << 10), 65535).astype(np.uint16)

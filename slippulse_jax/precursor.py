@@ -39,7 +39,7 @@ from slippulse_jax.front.arrest import (
     report_without_length,
 )
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, AnyInterface, EventKind, check_event
-from slippulse_jax.interface import Interface, Profile
+from slippulse_jax.interface import Interface, Profile, check_no_delay
 from slippulse_jax.lengths import whole_lengths
 from slippulse_jax.rules import HARD, BreakRule, HardBreak, check_rule
 from slippulse_jax.shown import html, in_a_line, short
@@ -349,7 +349,8 @@ _counted = jax.jit(arrest, static_argnums=3)
 def _recorded(modes: Modes, interface: AnyInterface, sites: int) -> tuple[Array, Array]:
     """Load at nucleation, and front stress."""
     repinning = front if interface is None or not interface.repin_delay else delayed
-    return front.nucleation_load(modes, interface), repinning.front_stress(modes, sites, interface)
+    threshold, prestress = front.contact_at(modes, interface, 0)
+    return modes.load * (threshold - prestress), repinning.front_stress(modes, sites, interface)
 
 
 def _check_of_block(interface: AnyInterface, **given: Any) -> None:
@@ -358,8 +359,7 @@ def _check_of_block(interface: AnyInterface, **given: Any) -> None:
     for name, value in given.items():
         if value is not None and value != usual.get(name):
             raise ValueError(f"{name} = {value!r}: not an option of a block, which has its own: Block(…, length=…, machine=…)")
-    if interface is not None and interface.repin_delay:
-        raise ValueError(f"interface.repin_delay = {interface.repin_delay}: contacts of a block repin at once")
+    check_no_delay(interface, "contacts of a block repin at once")
 
 
 @functools.lru_cache

@@ -51,35 +51,21 @@ Springs = tuple[Float[Array, "r r"], Float[Array, "s r"]]
 
 
 class Slab(NamedTuple):
-    """Stiffness between two columns, and how the interface beneath reads them; its own mirror image."""
+    """Stiffness between two columns, and how the interface beneath reads them."""
 
-    left: Float[Array, "n n"]  # D_00
-    across: Float[Array, "n n"]  # D_01
+    left: Float[Array, "l l"]  # D_00; l = n freedoms, or one, the load
+    across: Float[Array, "l n"]  # D_01
     right: Float[Array, "n n"]  # D_11
-    reading_left: Float[Array, "r n"]  # w_l: along the interface, which the contact holds, and perhaps across it
+    reading_left: Float[Array, "r l"]  # w_l: along the interface, which the contact holds, and perhaps across it
     reading_right: Float[Array, "r n"]  # w_r
     own: Float[Array, "r r"]  # s, response of a contact within its slab
 
 
-class Layers(NamedTuple):
-    """Layers of the slab over contact 0, eliminated one after another from the pusher on."""
+Edge = tuple[Slab, Float[Array, "n 1+r+n"]]
+"""What lies left of column 1, the pusher and contact 0: the slab from the load, its left column of one freedom, to column 1.
 
-    displaced: Float[Array, "m n"]  # left column per unit of the load, where the pusher holds it
-    free: Float[Array, "m n n"]  # left column per force on it, the right one held
-    load: Float[Array, "m n"]  # force on it per unit of the load
-    across: Float[Array, "m n n"]  # D_01
-    reading: Float[Array, "m r n"]  # of contact 0, up to the left column
-
-
-class Edge(NamedTuple):
-    """What lies left of column 1: the pusher and contact 0."""
-
-    stiffness: Array  # that column 1 feels
-    load: Array  # force on column 1, held, per unit of the load
-    reading: Float[Array, "r n"]  # of contact 0 per displacement of column 1
-    own: Float[Array, "r r"]  # and per force of its own, column 1 held
-    direct: Float[Array, " r"]  # and per unit of the load
-    layers: Layers
+And the displacements of column 0 per unit of the load, per force on what the slab reads, and per displacement of column 1.
+"""
 
 
 class End(NamedTuple):
@@ -96,14 +82,13 @@ class End(NamedTuple):
 class Guide(NamedTuple):
     """A waveguide that is pushed at column 0, in the quantities of this module."""
 
-    edge: Edge
+    edge: Slab  # from the load to column 1
+    start: Float[Array, "n 2+n"]  # column 0 per unit of the load, of the pinning point of contact 0, and of column 1
     slab: Slab
     step: Array  # Y
     transfer: Array  # T
     free: Array  # G_1, column 1 per force on it
     pushed: Array  # u_1, column 1 per unit of the load
-    bare: Edge  # without springs
-    pull: Float[Array, "r r"]  # of the springs of contact 0, per displacement of what holds them from that of the bare edge
     end: End | None = None
 
 
@@ -204,9 +189,14 @@ def _halves(along: Along, n: int) -> tuple[list[np.ndarray], np.ndarray]:
     return [np.flatnonzero(of_x).astype(np.int32), np.flatnonzero(~of_x).astype(np.int32)], np.where(of_x, 1.0, -1.0)
 
 
-def attached(slab: Slab, springs: Springs) -> Slab:
-    """Attach the springs of a slab; its readings are then those per displacement of what holds them."""
-    pull, felt = _attached(slab.own, springs)
+def attached(slab: Slab, springs: Springs) -> tuple[Slab, Float[Array, "r r"]]:
+    """Attach the springs of a slab, and return their stiffness there.
+
+    Its readings are then those per displacement of what holds the springs.
+    """
+    softness, read = springs
+    pull = inverse_of_definite(softness + slab.own)
+    felt = read @ softness @ pull  # of 1 − own pull, which cancels where springs are stiff
     left, right = slab.reading_left, slab.reading_right
     return Slab(
         slab.left + left.T @ pull @ left,
@@ -214,15 +204,8 @@ def attached(slab: Slab, springs: Springs) -> Slab:
         slab.right + right.T @ pull @ right,
         felt @ left,
         felt @ right,
-        felt @ slab.own @ springs[1].T,
-    )
-
-
-def _attached(own: Float[Array, "r r"], springs: Springs) -> tuple[Float[Array, "r r"], Float[Array, "s r"]]:
-    """Pull of springs, and what is left of readings."""
-    softness, read = springs
-    pull = inverse_of_definite(softness + own)
-    return pull, read @ softness @ pull  # 1 − own pull, which cancels where springs are stiff
+        felt @ slab.own @ read.T,
+    ), pull
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))
@@ -288,42 +271,31 @@ def edge(layers: Slab, displaced: Float[Array, " n"], force: Float[Array, " n"])
     """
     readings, n = layers.reading_left.shape[1:]
     none = jnp.zeros((n, n), force.dtype)
-    begin = Edge(none, force, none[:readings], none[:readings, :readings], none[0, :readings], Layers(*(none[0],) * 5))
+    begin = Slab(none[:1, :1], -force[None], none, none[:readings, :1], none[:readings], none[:readings, :readings])
 
-    def pass_layer(so_far: tuple[Edge, Array], layer: Slab) -> tuple[tuple[Edge, Array], Layers]:
-        behind, held = so_far
-        keep, reading = 1 - held, behind.reading + layer.reading_left
+    def pass_layer(so_far: tuple[Slab, Array, Array], layer: Slab) -> tuple[tuple[Slab, Array, Array], None]:
+        behind, start, held = so_far
+        keep, reading = 1 - held, behind.reading_right + layer.reading_left
         # freedoms that the pusher displaces are cut out, and held at one instead
-        inner = keep[:, None] * (behind.stiffness + layer.left) * keep[None] + jnp.diag(held)
+        inner = keep[:, None] * (behind.right + layer.left) * keep[None] + jnp.diag(held)
         free = keep[:, None] * inverse_of_definite(inner) * keep[None]
-        load = behind.load - layer.left @ held
+        load, read = -behind.across[0] - layer.left @ held, reading @ free
         moved, back = held + free @ load, free @ layer.across
         stiffness = layer.right - layer.across.T @ back
-        found = behind._replace(
-            stiffness=(stiffness + stiffness.T) / 2,  # what rounding leaves beside would grow from layer to layer
-            load=-moved @ layer.across,
-            reading=layer.reading_right - reading @ back,
-            own=behind.own + layer.own + reading @ free @ reading.T,
-            direct=behind.direct + reading @ moved,
+        found = Slab(
+            left=behind.left + held @ layer.left @ held - load @ free @ load,
+            across=(moved @ layer.across)[None],
+            right=(stiffness + stiffness.T) / 2,  # what rounding leaves beside would grow from layer to layer
+            reading_left=behind.reading_left + (reading @ moved)[:, None],
+            reading_right=layer.reading_right - reading @ back,
+            own=behind.own + layer.own + read @ reading.T,
         )
-        return (found, 0 * held), Layers(held, free, load, layer.across, reading)
+        before, follow = jnp.split(start, [1 + readings], 1)
+        start = (follow @ jnp.column_stack([moved, read.T, -back])).at[:, : 1 + readings].add(before)
+        return (found, start, 0 * held), None
 
-    (found, _), passed = lax.scan(pass_layer, (begin, displaced), layers)
-    return found._replace(layers=passed)
-
-
-def attached_edge(edge: Edge, springs: Springs) -> tuple[Edge, Float[Array, "r r"]]:
-    """Attach the springs of contact 0, and return their pull; readings as in `attached`."""
-    pull, felt = _attached(edge.own, springs)
-    row = edge.reading
-    return Edge(
-        edge.stiffness + row.T @ pull @ row,
-        edge.load - row.T @ pull @ edge.direct,
-        felt @ row,
-        felt @ edge.own @ springs[1].T,
-        felt @ edge.direct,
-        edge.layers,
-    ), pull
+    start = jnp.eye(n, 1 + readings + n, 1 + readings, dtype=force.dtype)
+    return lax.scan(pass_layer, (begin, start, displaced), layers)[0][:2]
 
 
 def guide(
@@ -333,11 +305,16 @@ def guide(
 
     Edge and slab are without their springs. The freedoms that are not `along` the guide are across it.
     """
-    at_edge, pull = attached_edge(edge, springs[0])
-    slab = attached(slab, springs[1])
+    (bare, start), slab = edge, attached(slab, springs[1])[0]
+    at_edge, pull = attached(bare, springs[0])
+    per_load, per_force, per_column = jnp.split(start, [1, 1 + len(pull)], 1)
+    per_force = per_force @ pull
+    start = jnp.concatenate(
+        [per_load - per_force @ bare.reading_left, per_force[:, :1], per_column - per_force @ bare.reading_right], axis=1
+    )
     X = driving_point(slab, along)
-    step, free = inverse_of_definite(X + slab.right), inverse_of_definite(X + at_edge.stiffness)
-    found = Guide(at_edge, slab, step, -step @ slab.across.T, free, free @ at_edge.load, edge, pull)
+    step, free = inverse_of_definite(X + slab.right), inverse_of_definite(X + at_edge.right)
+    found = Guide(at_edge, start, slab, step, -step @ slab.across.T, free, -free @ at_edge.across[0])
     if length is None:
         return found
     length, mirror = jnp.asarray(length), jnp.asarray(_halves(along, len(X))[1])
@@ -345,7 +322,7 @@ def guide(
     far = _power(found.transfer, length - 1)
     sent = inverse_of_definite(X + reflected_in)
     arriving = mirror[:, None] * (far @ (mirror[:, None] * sent))
-    reflected = free @ ((reflected_in - at_edge.stiffness) @ arriving)
+    reflected = free @ ((reflected_in - at_edge.right) @ arriving)
     felt = sent + far @ reflected
     back = taken_away(X, (felt + felt.T) / 2)
     end = End(length, back, far @ found.pushed, mirror[:, None] * sent, reflected, arriving + reflected)
@@ -412,11 +389,11 @@ def compliance(
     site = jnp.arange(sites)
     A = (direct + between(guide.free, ahead)).at[site, :, :, site].add(slab.own[None, :sources, :read])
     # contact 0 on itself, on the others, and they on it
-    own, reading = guide.edge.own[:sources, :read], guide.edge.reading[:read]
+    own, reading = guide.edge.own[:sources, :read], guide.edge.reading_right[:read]
     from_next = reading @ guide.free
     onto, back = jnp.einsum("sm,jrm->srj", from_next[:sources], ahead), jnp.einsum("rm,ism->isr", from_next, ahead[:, :sources])
     A = A.at[0].set(onto).at[..., 0].set(back).at[0, ..., 0].set(from_next[:sources] @ reading.T + own)
-    t = (ahead @ guide.pushed).T.at[:, 0].set(reading @ guide.pushed + guide.edge.direct[:read])
+    t = (ahead @ guide.pushed).T.at[:, 0].set(reading @ guide.pushed + guide.edge.reading_left[:read, 0])
     if guide.end is None:
         return A, t
     # the reading of each contact per force on the last column; of displacements across, a mirror changes the sign
@@ -456,7 +433,7 @@ def columns(guide: Guide, contact: Array, load: Array, pinning: Float[Array, " N
     edge, slab, T = guide.edge, guide.slab, guide.transfer
     left, right = (jnp.outer(pinning[1:], x[0]) for x in (slab.reading_left, slab.reading_right))
     force = jnp.pad(left, ((0, 1), (0, 0))) + jnp.pad(right, ((1, 0), (0, 0)))
-    force = contact * force.at[0].add(pinning[0] * edge.reading[0])
+    force = contact * force.at[0].add(pinning[0] * edge.reading_right[0])
 
     def under(load: Array, force: Float[Array, "N n"]) -> Float[Array, "N n"]:
         arriving = lax.scan(lambda g, f: (f + g @ T, f + g @ T), jnp.zeros_like(force[0]), force, reverse=True)[1]
@@ -468,12 +445,6 @@ def columns(guide: Guide, contact: Array, load: Array, pinning: Float[Array, " N
     if guide.end is not None:
         last = guide.end.length - 1
         found = found + under(0 * load, jnp.zeros_like(force).at[last].set(guide.end.back @ found[last]))
-    # back through the layers over contact 0, whose springs pull at all of them
-    bare = guide.bare
-    pull = guide.pull @ (jnp.zeros_like(bare.direct).at[0].set(pinning[0]) - bare.reading @ found[0] - bare.direct * load)
-
-    def back_to(right: Array, layer: Layers) -> tuple[Array, None]:
-        return layer.displaced * load + layer.free @ (layer.load * load + layer.reading.T @ pull - layer.across @ right), None
-
-    first = lax.scan(back_to, found[0], edge.layers, reverse=True)[0]
+    # column 0 follows the load, contact 0 and column 1
+    first = guide.start @ jnp.concatenate([jnp.stack([load, pinning[0]]), found[0]])
     return jnp.concatenate([first[None], found])

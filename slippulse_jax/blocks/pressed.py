@@ -55,9 +55,9 @@ class Pressed(NamedTuple):
 
         def at(z: Array) -> tuple[Array, Array, Array, Array]:
             stretch, q = z[:sites] - free, self.normal * z[sites:]
-            pressure = jnp.exp(-self.friction * q)
-            # (1 − π)/μ, also at μ = 0
-            pull = q * jnp.where(self.friction * q == 0, 1, -jnp.expm1(-self.friction * q) / _or_one(self.friction * q))
+            fall = self.friction * q
+            pressure, none = jnp.exp(-fall), fall == 0
+            pull = q * jnp.where(none, 1, -jnp.expm1(-fall) / jnp.where(none, 1, fall))  # (1 − π)/μ, also at μ = 0
             return stretch, q, pressure, jnp.concatenate([z[:sites] + prestress - pressure * stretch, q - pull])
 
         def linear(z: Array) -> tuple[tuple[Array, Array], Array]:
@@ -110,7 +110,3 @@ def under_pressure(guide: Guide, contact: Array, sites: int, normal: Array, fric
     A, t = compliance(guide, sites, 2, 2)
     matrix = A.transpose(2, 3, 1, 0).reshape(2 * sites, 2 * sites)
     return Pressed(contact * matrix, t.reshape(-1), contact * held_by_all(guide, t), normal, friction)
-
-
-def _or_one(x: Array) -> Array:
-    return jnp.where(x == 0, 1, x)

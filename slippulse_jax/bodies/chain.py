@@ -21,7 +21,7 @@ from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.bodies.modes import RightEnd
 from slippulse_jax.domains import check_choice, check_domain, check_kind, check_single, check_whole
-from slippulse_jax.interface import Interface, Profile
+from slippulse_jax.interface import Interface, Profile, check_no_delay
 from slippulse_jax.slider import Slider
 from slippulse_jax.units import as_float, at_least_single, quantity_field
 
@@ -141,14 +141,14 @@ def chain(
     contact = slider.stiffness if contact is None else contact
     upper = slider.K_L if upper is None else upper
 
-    def along(name: str, value: AnyArrayLike, count: int, domain: str, inside: Callable[[Any], Any]) -> Array:
+    def per_site(name: str, value: AnyArrayLike, count: int, domain: str, inside: Callable[[Any], Any]) -> Array:
         if np.shape(value) not in ((), (count,)):
             raise ValueError(f"{name} has shape {np.shape(value)}: must be () or ({count},) for {sites} sites")
         check_domain(name, as_float(value), inside, f"must be {domain}")
         array = at_least_single(jnp.asarray(value))
         # a Python number takes the slider's precision: a weak type would compile another program
-        given = jnp.issubdtype(array.dtype, jnp.inexact) and not array.weak_type
-        return jnp.broadcast_to(array if given else array.astype(q.dtype), (count,))
+        typed = jnp.issubdtype(array.dtype, jnp.inexact) and not array.weak_type
+        return jnp.broadcast_to(array if typed else array.astype(q.dtype), (count,))
 
     K_T, q = slider.K_T, jnp.asarray(slider.stiffness)
     zero = jnp.zeros_like(K_T)
@@ -158,12 +158,12 @@ def chain(
         "semi-infinite": lambda: endless(Springs(slider.K_L, jnp.ones_like(zero), K_T), q),
     }
     return Chain(
-        upper=along("upper", upper, sites - 1, "zero or more, in K", lambda x: x >= 0),
-        layer=along("layer", layer, sites - 1, "zero or more, in K", lambda x: x >= 0),
+        upper=per_site("upper", upper, sites - 1, "zero or more, in K", lambda x: x >= 0),
+        layer=per_site("layer", layer, sites - 1, "zero or more, in K", lambda x: x >= 0),
         across=jnp.broadcast_to(K_T, (sites,)),
-        contact=along("contact", contact, sites, "zero or more, in K", lambda x: x >= 0),
-        threshold=along("threshold", threshold, sites, "positive, in σ_s", lambda x: x > 0),
-        prestress=along("prestress", prestress, sites, "finite, in σ_s", np.isfinite),
+        contact=per_site("contact", contact, sites, "zero or more, in K", lambda x: x >= 0),
+        threshold=per_site("threshold", threshold, sites, "positive, in σ_s", lambda x: x > 0),
+        prestress=per_site("prestress", prestress, sites, "finite, in σ_s", np.isfinite),
         stiffness=q,
         height=jnp.asarray(slider.height),
         end=ends[right](),
@@ -181,8 +181,7 @@ def _of_interface(interface: Interface | Profile | None, sites: int) -> tuple[An
     """Thresholds and prestress of the first sites of an interface."""
     if interface is None:
         return 1.0, 0.0
-    if interface.repin_delay:
-        raise ValueError("chain takes no repin_delay, only prestress and thresholds: pass the delay to rupture or series")
+    check_no_delay(interface, "chain takes only prestress and thresholds: pass the delay to rupture or series")
     numbers = jnp.arange(sites)
     return interface.threshold_at(numbers), interface.prestress_at(numbers)
 

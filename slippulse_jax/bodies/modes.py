@@ -200,9 +200,9 @@ def _root(x: Number) -> Pair:
 
 @_root.defjvp
 def _(primals: tuple[Number], tangents: tuple[Number]) -> tuple[Pair, Pair]:  # pyright: ignore[reportUnusedFunction]
-    root, inverse = _root(*primals)
-    along = inverse * tangents[0] / 2
-    return (root, inverse), (along, -inverse * inverse * along)
+    root, over = _root(*primals)
+    slope = over * tangents[0] / 2
+    return (root, over), (slope, -over * over * slope)
 
 
 class ChainFields(eqx.Module):

@@ -197,14 +197,6 @@ def shared_response(chain: Chain) -> tuple[Springs, Response]:
     return lane_by_lane(of_springs, eqx.tree_at(lambda c: (c.threshold, c.prestress), chain, (none, none)))
 
 
-def _mul(a: Float[Array, "... x y"], b: Float[Array, "... y z"]) -> Array:
-    """Multiply matrices with y = 2.
-
-    The product is written out because it must not depend on how a batched dot is scheduled.
-    """
-    return a[..., :, :1] * b[..., :1, :] + a[..., :, 1:] * b[..., 1:, :]
-
-
 def within(
     P: Float[Array, "M 2 2"], Q: Float[Array, "M 2 2"], source: Float[Array, "M 2"], contact: Float[Array, " M"]
 ) -> Float[Array, "M M"]:
@@ -230,19 +222,19 @@ def within(
 
 def _through_blocks(P: Float[Array, "B M 2 2"], v: Float[Array, "B M 2"], *, reverse: bool) -> tuple[Array, Array, Array]:
     """Compute `read`, `leave` and the propagator across each block, in one direction."""
-    along, source = jnp.moveaxis(P, 0, -1), jnp.moveaxis(v, 0, -1)  # blocks last: arithmetic on rows
-    unit = jnp.broadcast_to(jnp.eye(2, dtype=P.dtype)[..., None], along.shape[1:])
+    sites, source = jnp.moveaxis(P, 0, -1), jnp.moveaxis(v, 0, -1)  # blocks last: arithmetic on rows
+    unit = jnp.broadcast_to(jnp.eye(2, dtype=P.dtype)[..., None], sites.shape[1:])
 
     def product(a: Array, b: Array) -> Array:
         return a[:, 0, None] * b[None, 0] + a[:, 1, None] * b[None, 1]
 
-    across, read = lax.scan(lambda so_far, P: (product(P, so_far), so_far[1]), unit, along, reverse=reverse)
+    across, read = lax.scan(lambda so_far, P: (product(P, so_far), so_far[1]), unit, sites, reverse=reverse)
 
     def back(rest: Array, here: tuple) -> tuple[Array, Array]:
         rest = product(rest, here[0])
         return rest, rest[:, 0] * here[1][None, 0] + rest[:, 1] * here[1][None, 1]
 
-    _, leave = lax.scan(back, unit, (along, source), reverse=not reverse)
+    _, leave = lax.scan(back, unit, (sites, source), reverse=not reverse)
     return jnp.moveaxis(read, -1, 0).swapaxes(1, 2), jnp.moveaxis(leave, -1, 0), jnp.moveaxis(across, -1, 0)
 
 
@@ -256,7 +248,9 @@ def _between_blocks(across: Float[Array, "B 2 2"]) -> Float[Array, "B B 2 2"]:
     def step(so_far: Array, here: tuple) -> tuple[Array, Array]:
         across_b, b = here
         neighbour = (jnp.arange(blocks) == b)[:, None, None]
-        return jnp.where(neighbour, jnp.eye(2, dtype=across.dtype)[None], _mul(across_b[None], so_far)), so_far
+        # written out: a product must not depend on how a batched dot is scheduled
+        passed = (across_b[None, :, :, None] * so_far[:, None]).sum(2)
+        return jnp.where(neighbour, jnp.eye(2, dtype=across.dtype)[None], passed), so_far
 
     _, reached = lax.scan(step, jnp.zeros_like(across), (across, jnp.arange(blocks)))
     return jnp.swapaxes(reached, 0, 1)

@@ -12,6 +12,7 @@ returns to the crossing without overshooting.
 from typing import Literal
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
@@ -62,20 +63,13 @@ class Ageing(eqx.Module):
         nu, tau = jnp.asarray(self.newborn), self.load_scale(velocity)
         old = jnp.isinf(age)
         x = jnp.where(old, 0, age) / tau
-        grown = -jnp.expm1(-x) if self.law == "exponential" else jnp.minimum(jnp.log1p(x) / jnp.log(2.0), 1)
+        # of the two slopes at x = 1 that of what follows, as `next_crossing` needs it
+        grown = -jnp.expm1(-x) if self.law == "exponential" else jnp.where(x < 1, jnp.log1p(x) / jnp.log(2.0), 1)
         return jnp.where(old, 1, nu + (1 - nu) * grown)
 
     def load_scale(self, velocity: Array | float) -> Array:
         """Convert τ to load."""
         return jnp.asarray(self.scale) * (velocity if self.clock == "time" else 1.0)
-
-    def growth(self, age: Array, velocity: Array | float = 1.0) -> Array:
-        """Rate at which the strength grows, per load."""
-        nu, tau = jnp.asarray(self.newborn), self.load_scale(velocity)
-        old = jnp.isinf(age)
-        x = jnp.where(old, 0, age) / tau
-        rate = jnp.exp(-x) if self.law == "exponential" else jnp.where(x < 1, 1 / ((1 + x) * jnp.log(2.0)), 0)
-        return jnp.where(old, 0, (1 - nu) * rate / tau)
 
     def age_of_growth(self, growth: Array, velocity: Array | float = 1.0) -> Array:
         """Age from which on the strength grows no faster than a given rate; negative if it never grows that fast."""
@@ -111,8 +105,8 @@ def next_crossing(
 
     def step(carry: tuple) -> tuple:
         d, _, n = carry
-        slope = theta * ageing.growth(age + d, velocity) - c
-        after = jnp.maximum(d - gap(d) / slope, 0)
+        short, slope = jax.jvp(gap, (d,), (jnp.ones_like(d),))
+        after = jnp.maximum(d - short / slope, 0)
         after = jnp.where(pulled, after, 0)
         # the first step may go either way; after it the iterates only decrease, until rounding stops them
         moved = (n == 0) | (after < d)

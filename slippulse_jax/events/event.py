@@ -191,9 +191,9 @@ def _held(response: Response, now: Event, site: Array, detached: Int[Array, " n"
     green = jnp.where(there[:, None] & there[None], columns[:, jnp.maximum(moving, 0)], 0)
     t = now.stress[site]
     unit, at = jnp.eye(moving.size, dtype=t.dtype), jnp.where(there, moving, now.times.size)
-    given = solve_without_pivots(unit - green.T, unit[-1] * t)
-    stress = (now.stress + given @ columns).at[at].add(-given, mode="drop")
-    return stress[None], now.released.at[at].add(given, mode="drop"), given[-1] - t, moving
+    releases = solve_without_pivots(unit - green.T, unit[-1] * t)
+    stress = (now.stress + releases @ columns).at[at].add(-releases, mode="drop")
+    return stress[None], now.released.at[at].add(releases, mode="drop"), releases[-1] - t, moving
 
 
 def most(x: Float[Array, " N"]) -> tuple[Array, Array]:

@@ -210,9 +210,9 @@ def _length_jvp(kind: EventKind, primals: tuple, tangents: tuple) -> tuple[Array
     (start, body), (moved, changed) = primals, tangents
     found = event_from(start, body, kind=kind, logged=True)
     length = ended(found, start, body, kind)[1]
-    given = moved.readings, moved.response.near[0], changed.threshold
+    changes = moved.readings, moved.response.near[0], changed.threshold
     slopes = slopes_of_length(found, start, body.threshold, body.alike)
-    change = sum(jax.tree.leaves(jax.tree.map(lambda slope, x: (slope * x).sum(), slopes, given)))
+    change = sum(jax.tree.leaves(jax.tree.map(lambda slope, x: (slope * x).sum(), slopes, changes)))
     return length, change * jnp.where(jnp.isfinite(length), 1, jnp.nan)  # without a length there is no derivative either
 
 

@@ -73,8 +73,11 @@ class MotionState(NamedTuple):
     breaks: Array
     n: Array
     since: Array  # time since the last break
-    books: tuple[Array, Array, Array, Array]  # work, broken, damped, rubbed
-    worst: Array
+    work: Array  # energies, as of `Motion`
+    broken: Array
+    damped: Array
+    rubbed: Array
+    worst: Array  # error of their balance so far
 
 
 def stable_step(chain: Chain, safety: AnyArrayLike = 0.2) -> Array:
@@ -198,8 +201,7 @@ def _simulate(
 
     def damp(now: MotionState) -> MotionState:
         v = (jnp.where(sites == 0, velocity, keep * now.v[0]), keep * now.v[1])
-        work, broken, damped, rubbed = now.books
-        return now._replace(v=v, books=(work, broken, damped + kinetic(now.v) - kinetic(v), rubbed))
+        return now._replace(v=v, damped=now.damped + kinetic(now.v) - kinetic(v))
 
     def push(now: MotionState) -> Array:
         """Force that holds the left edge."""
@@ -214,15 +216,13 @@ def _simulate(
         pull = forces(chain, pinning, x)
         v = (v[0] + held * pull[0] * dt / (2 * mass[0]), v[1] + pull[1] * dt / 2)
         after = now._replace(x=x, v=v, pull=pull, pinning=pinning, n=now.n + 1, since=now.since + dt)
-        work, broken, damped, rubbed = now.books
-        books = (work + (push(now) + push(after)) / 2 * velocity * dt, broken, damped, rubbed + k * friction * moved.sum())
-        return after._replace(books=books)
+        work = now.work + (push(now) + push(after)) / 2 * velocity * dt
+        return after._replace(work=work, rubbed=now.rubbed + k * friction * moved.sum())
 
     def break_those(now: MotionState, those: Array) -> MotionState:
         t = chain.stress(now.x[1], now.pinning)
         lost = jnp.where(those, t - friction, 0)
         pinning = now.pinning + lost * soft
-        work, broken, damped, rubbed = now.books
         energy = (jnp.where(those, (t**2 - friction**2) * soft, 0) * k / 2).sum()
         return now._replace(
             pinning=pinning,
@@ -231,7 +231,7 @@ def _simulate(
             first_break=jnp.where(those, jnp.minimum(now.first_break, now.n.astype(dt.dtype) * dt), now.first_break),
             breaks=now.breaks + those.astype(now.breaks.dtype),
             since=jnp.where(those.any(), 0, now.since),
-            books=(work, broken + energy, damped, rubbed),
+            broken=now.broken + energy,
         )
 
     def overloaded(now: MotionState) -> Array:
@@ -248,9 +248,9 @@ def _simulate(
             most = (sites == jnp.argmax(over)) & (over >= 0) & (now.since >= rule.break_time * (1 - 1e-9))
             those = jnp.where(jnp.asarray(rule.break_time) > 0, most, over >= 0)
         now = break_those(now, those)
-        work, broken, damped, rubbed = now.books
         energy = kinetic(now.v) + potential_energy(chain, now.x, now.pinning)
-        return now._replace(worst=jnp.maximum(now.worst, jnp.abs(energy - initial - work + broken + damped + rubbed)))
+        error = jnp.abs(energy - initial - now.work + now.broken + now.damped + now.rubbed)
+        return now._replace(worst=jnp.maximum(now.worst, error))
 
     def going(now: MotionState) -> Array:
         quiet = (
@@ -272,13 +272,15 @@ def _simulate(
         breaks=jnp.zeros(chain.sites, jnp.int32),
         n=jnp.zeros((), jnp.int32),
         since=zero + jnp.inf,
-        books=(zero, zero, zero, zero),
+        work=zero,
+        broken=zero,
+        damped=zero,
+        rubbed=zero,
         worst=zero,
     )
     now = lax.while_loop(going, step, break_those(now, sites == trigger))
     broke = now.breaks > 0
     extent = jnp.where(broke, sites + 1, 0).max()
-    work, broken, damped, rubbed = now.books
     moving = kinetic(now.v)
     finite = valid & jnp.isfinite(moving) & (start.status == Outcome.SOLVED)
     endings = {Outcome.INVALID: ~finite, Outcome.RAN_THROUGH: extent == chain.sites, Outcome.TIME_OVER: now.n >= steps}
@@ -295,10 +297,10 @@ def _simulate(
         step=dt,
         kinetic=moving,
         potential=potential_energy(chain, now.x, now.pinning),
-        work=work,
-        broken=broken,
-        damped=damped,
-        rubbed=rubbed,
+        work=now.work,
+        broken=now.broken,
+        damped=now.damped,
+        rubbed=now.rubbed,
         imbalance=now.worst,
         status=first_of(endings),
     )

@@ -336,8 +336,8 @@ def smooth_rupture(chain: Chain, state: State, rule: BreakRule, trigger: Array) 
             return (P * (arriving + source * p * t)[None, :]).sum(-1), (p, t)
 
         sites = jnp.arange(chain.sites, dtype=jnp.int32)
-        along = (links.right, links.source, stress, theta, chain.contact, sites)
-        _, (p, t) = lax.scan(step, jnp.zeros(2, theta.dtype), along)
+        in_turn = (links.right, links.source, stress, theta, chain.contact, sites)
+        _, (p, t) = lax.scan(step, jnp.zeros(2, theta.dtype), in_turn)
         first, most = jnp.maximum(trigger, 0), p > 0.5
         steps = jax.vmap(rule.overloaded_length)(t[:-1], t[1:], theta[:-1], theta[1:])
         # the trigger breaks completely: to its neighbour the step is that neighbour's part

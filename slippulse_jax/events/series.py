@@ -33,10 +33,10 @@ from slippulse_jax.bulk.double import in_double
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import Domain, check_kind, check_whole
 from slippulse_jax.events.ageing import Ageing, next_crossing
-from slippulse_jax.events.catalogue import Catalogue, EventClass
+from slippulse_jax.events.catalogue import COLUMNS, Catalogue, EventClass
 from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, event, most, overload, rises
 from slippulse_jax.events.first import Relaxed, contacts_of_chain
-from slippulse_jax.interface import Interface, Profile
+from slippulse_jax.interface import Interface, Profile, check_no_delay
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
@@ -185,8 +185,7 @@ def _sites_of_block(block: Block, interface: Interface | Profile | None, sites: 
         raise ValueError("push.control = 'force': the pusher of a series is displaced; pull it through a soft Spring instead")
     if block.machine is not None and isinstance(protocol, Spring):
         raise ValueError("a machine and protocol = Spring(…): they are one spring, give one of them")
-    if interface is not None and interface.repin_delay:
-        raise ValueError(f"interface.repin_delay = {interface.repin_delay}: give the delay to series, as repin_delay")
+    check_no_delay(interface, "give the delay to series, as repin_delay")
     if sites is None and block.sites is None:
         raise ValueError(f"{block} has no end: give sites, the number of contacts resolved")
     found = checked_sites(block, block.sites if sites is None else sites)
@@ -283,13 +282,8 @@ class SeriesState(NamedTuple):
     order: Int[Array, " L+1"]  # site of every break; likewise
 
 
-EMPTY_ROW = {
-    **dict.fromkeys(("load", "force_before", "force_after", "length", "slip", "stress_drop", "work"), jnp.nan),
-    **dict.fromkeys(("stored", "broken", "relaxed"), jnp.nan),
-    **dict.fromkeys(("extent", "breaks"), 0),
-    **dict.fromkeys(("site", "leftmost", "kind"), -1),
-}
-"""Columns of a catalogue, and their value where there is no event."""
+WHOLE = {"site": -1, "leftmost": -1, "kind": -1, "extent": 0, "breaks": 0}
+"""Columns of whole numbers, and their value where there is no event; that of the others is NaN."""
 
 
 def load_through(shape: Shape, body: Relaxed, loading: Loading) -> SeriesState:
@@ -307,7 +301,9 @@ def load_through(shape: Shape, body: Relaxed, loading: Loading) -> SeriesState:
         number=none,
         total=none,
         ending=jnp.where(body.valid, -1, Outcome.INVALID).astype(jnp.int32),
-        rows={name: jnp.full(events + 1, x, jnp.int32 if isinstance(x, int) else zero.dtype) for name, x in EMPTY_ROW.items()},
+        rows={
+            name: jnp.full(events + 1, WHOLE.get(name, jnp.nan), jnp.int32 if name in WHOLE else zero.dtype) for name in COLUMNS
+        },
         order=jnp.full(recorded + 1, -1, jnp.int32),
     )
     return lax.while_loop(lambda now: now.ending < 0, partial(_next_event, body, loading, delay), begin)

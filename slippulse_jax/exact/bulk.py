@@ -176,11 +176,11 @@ def _derivatives(count: int, order: int) -> Kernel:
         def at_length(theta: Array) -> tuple[Array, Array]:
             return excess(series_of(theta[:count]), theta[:count], length)
 
-        def along(direction: Array) -> tuple[Array, Array]:
+        def slope_along(direction: Array) -> tuple[Array, Array]:
             (_, slope), (change, _) = jax.jvp(at_length, (theta,), (direction,))
             return change, slope
 
-        change, slope = jax.vmap(along, out_axes=(0, None))(axes(theta))
+        change, slope = jax.vmap(slope_along, out_axes=(0, None))(axes(theta))
         return -change / slope
 
     def axes(theta: Array) -> Array:

@@ -14,7 +14,7 @@ Ahead of it they are sums of the two modes. Four conditions determine the c: u_t
 and in each mode a decay by r_m from n − 1 to n. The tip stops where contact n carries its threshold, u(n) = 1; n is real.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -37,37 +37,15 @@ NOISE = 1e9
 """Error of a length in units of rounding: on soft contacts the stress at the tip hardly changes from one to the next."""
 
 
-class Sliding(NamedTuple):
-    """Equilibrium with contacts 0 … n − 1 sliding, beyond the prestress and in units of 1 − φ."""
-
-    modes: Modes
-    K_L: Array
-    released: Array  # kρ
-    position: Array  # n
-    parabola: tuple[Array, Array]  # c_0, c_1
-    decays: tuple[Array, Array]  # c_2, c_3
-    rate: Array  # ln r
-    apart: Array  # kρ/m, u_t − u far from both ends
-
-    def behind(self, site: Array) -> tuple[Array, Array]:
-        """u_t and u where contacts slide."""
-        (c0, c1), (c2, c3) = self.parabola, self.decays
-        P = c0 + (c1 + self.released * site / 2) * site
-        D = self.apart + c2 * jnp.exp(self.rate * site) + c3 * jnp.exp(self.rate * (self.position - site))
-        return (P + D) / (1 + self.K_L), (P - self.K_L * D) / (1 + self.K_L)
-
-    @in_full
-    def ahead(self, site: Array) -> tuple[Array, Array]:
-        """u_t and u from the tip on."""
-        upper, layer = self.behind(self.position)
-        a, b = self.modes.upper
-        amplitude = jnp.stack([upper - b * layer, a * layer - upper]) / (a - b)
-        here = amplitude * jnp.exp((site - self.position) * jnp.log1p(-self.modes.gap))
-        return self.modes.upper @ here, here.sum()
+Displacements = Callable[[Array], tuple[Array, Array]]
+"""u_t and u at a site."""
 
 
-def sliding(slider: Slider, ratio: Array, position: Array) -> Sliding:
-    """Equilibrium behind and ahead of a tip; scalars, `ratio` is ρ."""
+def sliding(slider: Slider, ratio: Array, position: Array) -> tuple[Displacements, Displacements, Modes]:
+    """Displacements behind the tip, and from the tip on; and the modes. Scalars, `ratio` is ρ.
+
+    In equilibrium with contacts 0 … n − 1 sliding, beyond the prestress and in units of 1 − φ.
+    """
     modes = lattice_modes(slider)
     K_L, K_T, n = jnp.asarray(slider.K_L), jnp.asarray(slider.K_T), position
     kr, m = jnp.asarray(slider.stiffness) * ratio, K_T * (1 + 1 / K_L)
@@ -79,10 +57,10 @@ def sliding(slider: Slider, ratio: Array, position: Array) -> Sliding:
     slope = kr / 2, -K_L * gap / r, K_L * gap * far
     # P (1 − o_m) + D (1 + o_m K_L), o_m being u_t/u of the other mode, falls by r_m
     o = modes.upper[::-1]
-    along = g * n + r_m
+    far_end = g * n + r_m
 
     def falls(c0: Array | float, c1: Array, P: Array | float, D: Array) -> Array:
-        return (1 - o) * (g * c0 + along * c1 + P) + (1 + o * K_L) * D
+        return (1 - o) * (g * c0 + far_end * c1 + P) + (1 + o * K_L) * D
 
     b = -falls(constant[0], slope[0], kr * (n**2 - r_m * (n - 1) ** 2) / 2, g * apart)
     A2 = falls(constant[1], slope[1], 0.0, far * (g - gap) / r)
@@ -90,12 +68,25 @@ def sliding(slider: Slider, ratio: Array, position: Array) -> Sliding:
     determinant = A2[0] * A3[1] - A2[1] * A3[0]
     c2, c3 = (b[0] * A3[1] - b[1] * A3[0]) / determinant, (A2[0] * b[1] - A2[1] * b[0]) / determinant
     c0, c1 = (x[0] + x[1] * c2 + x[2] * c3 for x in (constant, slope))
-    return Sliding(modes, K_L, kr, n, (c0, c1), (c2, c3), rate, apart)
+
+    def behind(site: Array) -> tuple[Array, Array]:
+        P = c0 + (c1 + kr * site / 2) * site
+        D = apart + c2 * jnp.exp(rate * site) + c3 * jnp.exp(rate * (n - site))
+        return (P + D) / (1 + K_L), (P - K_L * D) / (1 + K_L)
+
+    @in_full
+    def ahead(site: Array) -> tuple[Array, Array]:
+        (upper, layer), (a, b) = behind(n), modes.upper
+        amplitude = jnp.stack([upper - b * layer, a * layer - upper]) / (a - b)
+        here = amplitude * jnp.exp((site - n) * jnp.log1p(-g))
+        return modes.upper @ here, here.sum()
+
+    return behind, ahead, modes
 
 
 def stress_ahead(slider: Slider, ratio: Array, position: Array) -> Array:
     """(t − φ)/(1 − φ) on the contact at the tip, just before it slides."""
-    return sliding(slider, ratio, position).behind(position)[1]
+    return sliding(slider, ratio, position)[0](position)[1]
 
 
 def length(slider: Slider, friction: Array, prestress: Array) -> tuple[Array, Array]:
@@ -130,9 +121,9 @@ def length(slider: Slider, friction: Array, prestress: Array) -> tuple[Array, Ar
 @in_full
 def fields(slider: Slider, friction: Array, prestress: Array, position: Array, site: Array) -> tuple[Array, Array]:
     """Slip and stress at a contact when contacts before `position` slide, or slid until the front stopped; scalars."""
-    after = sliding(slider, (friction - prestress) / (1 - prestress), position)
+    behind, ahead, modes = sliding(slider, (friction - prestress) / (1 - prestress), position)
     slides = site < position
-    layer = jnp.where(slides, after.behind(jnp.minimum(site, position))[1], after.ahead(jnp.maximum(site, position))[1])
-    before = after.modes.profile(site) @ after.modes.drive
+    layer = jnp.where(slides, behind(jnp.minimum(site, position))[1], ahead(jnp.maximum(site, position))[1])
+    before = modes.profile(site) @ modes.drive
     held = prestress + (1 - prestress) * layer
     return (1 - prestress) * (layer - before), jnp.where(slides, friction, held)

@@ -31,7 +31,7 @@ from slippulse_jax.domains import check_domain, check_kind
 from slippulse_jax.exact import crack
 from slippulse_jax.exact.crossing import excess, first_crossing, length_of, series_of
 from slippulse_jax.front.front import in_domain
-from slippulse_jax.interface import Interface
+from slippulse_jax.interface import Interface, check_no_delay
 from slippulse_jax.rules import CrackLike
 from slippulse_jax.slider import Fields, Slider, broadcast, of_one_type
 from slippulse_jax.status import Outcome
@@ -175,7 +175,7 @@ def _fields(*arguments: Array) -> tuple[Array, Array, Array]:
     @in_full
     def fields(theta: Array, s: Array, site: Array) -> Array:
         modes = lattice_modes(Slider(theta[0], theta[1], theta[2]))
-        mode, stress = double_series.fields(series_of(theta), modes.weight, modes.reflection, s, site)
+        mode, stress = double_series.fields(series_of(theta), s, site)
         return jnp.stack([modes.upper @ mode, mode.sum(), stress])
 
     *theta, s, site = arguments
@@ -195,11 +195,8 @@ def uniform(interface: Interface | None) -> tuple[AnyArrayLike, AnyArrayLike]:
             f"interface = {type(interface).__name__}(…): the closed form holds for an Interface, whose prestress is uniform; "
             "use precursor_length or first_precursor"
         )
-    if interface.repin_delay:
-        raise ValueError(
-            f"interface.repin_delay = {interface.repin_delay}: the closed form holds for contacts that repin at once; "
-            "use precursor_length, precursor_lengths or first_precursor"
-        )
+    instead = "use precursor_length, precursor_lengths or first_precursor"
+    check_no_delay(interface, f"the closed form holds for contacts that repin at once; {instead}")
     return interface.prestress, interface.threshold_slope
 
 

@@ -16,7 +16,7 @@ from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.domains import check_whole
 from slippulse_jax.front import delayed, front
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, AnyInterface, Arrest
-from slippulse_jax.interface import Profile
+from slippulse_jax.interface import Profile, check_no_delay
 from slippulse_jax.rules import HARD, BreakRule, HardBreak
 from slippulse_jax.slider import Slider, of_one_type
 from slippulse_jax.status import NotConverged, Outcome
@@ -86,11 +86,9 @@ def quantity(
 
 def check_at_once(interface: AnyInterface, rule: BreakRule) -> None:
     """Refuse a repinning delay under a smooth rule, of which a part of a contact would be detached while the rest holds."""
-    if not isinstance(rule, HardBreak) and interface is not None and interface.repin_delay:
-        raise ValueError(
-            f"interface.repin_delay = {interface.repin_delay}: a contact that repins after a delay is detached as a whole, but "
-            "under a smooth rule only a part of it breaks; use HardBreak()"
-        )
+    if not isinstance(rule, HardBreak):
+        why = "a contact that repins after a delay is detached as a whole, but under a smooth rule only a part of it breaks"
+        check_no_delay(interface, f"{why}; use HardBreak()")
 
 
 def check_max_contacts(max_contacts: int) -> None:

@@ -160,10 +160,10 @@ def taken_back(
     position = front.position - 1
     growth, e = guide.growth, echo(position)
     Q, before = growth[:, None] * growth[None] * front.reflected, growth * front.stress
-    given = guide.weight + (Q if e is None else Q * e[None]).sum(1)
-    seen, own = (x if e is None else e * x for x in (before, given))
+    per_stress = guide.weight + (Q if e is None else Q * e[None]).sum(1)
+    seen, own = (x if e is None else e * x for x in (before, per_stress))
     released = (prestress + seen.sum(0, keepdims=True)) * inverse(1 + own.sum(0, keepdims=True))
-    return Front(before - given * released, Q, None, position), released
+    return Front(before - per_stress * released, Q, None, position), released
 
 
 # --- where a front ends ------------------------------------------------------------------------------------------------
@@ -337,12 +337,6 @@ def contact_at(modes: Modes, contacts: AnyInterface, site: Any) -> tuple[Array, 
     return contacts.threshold_at(site).astype(site.dtype), contacts.prestress_at(site).astype(site.dtype)
 
 
-def nucleation_load(modes: Modes, contacts: AnyInterface) -> Array:
-    """Displacement of the drive when contact 0 carries its threshold, in u_s."""
-    threshold, prestress = contact_at(modes, contacts, 0)
-    return modes.load * (threshold - prestress)
-
-
 def passage(
     modes: Modes, contacts: AnyInterface = None, rule: BreakRule = HARD
 ) -> tuple[Front, Callable[[Front], tuple[Array, Array]], Callable[[Front, Array, Array], Front]]:
@@ -380,7 +374,7 @@ def in_domain(body: Slider | Block) -> Array:
 
 
 def sweep(
-    modes: Modes, loaded: Array, prestress: Float[Array, " n"], part: Callable[..., Any] = lambda stress: 1, *along: Array
+    modes: Modes, loaded: Array, prestress: Float[Array, " n"], part: Callable[..., Any] = lambda stress: 1, *values: Array
 ) -> Float[Array, " n"]:
     """t(0) … t(n − 1): the stress on each contact once all before it have broken, past the arrest too.
 
@@ -394,8 +388,8 @@ def sweep(
     prestress : array, shape (n,)
         φ_i.
     part : callable
-        Fraction of a contact that breaks, of its stress and of its values in `along`; all of it by default.
-    *along : array, shape (n,)
+        Fraction of a contact that breaks, of its stress and of its `values`; all of it by default.
+    *values : array, shape (n,)
     """
 
     def step(front: Front, here: tuple[Array, ...]) -> tuple[Front, Array]:
@@ -406,7 +400,7 @@ def sweep(
         return advance(modes, front, part(stress, *more) * stress, echo), stress
 
     start = nucleate(modes, loaded - prestress[0])._replace(reach=None, edge=None)
-    return lax.scan(step, start, (prestress, *along))[1]
+    return lax.scan(step, start, (prestress, *values))[1]
 
 
 def swept_length(rule: BreakRule, stress: Float[Array, " n"], threshold: Float[Array, " n"]) -> tuple[Array, Array]:

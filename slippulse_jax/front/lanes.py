@@ -96,9 +96,8 @@ def arrest_kernel(max_contacts: int) -> Kernel:
 
     def arrests(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
         state, _ = _until_all_arrest(parameters, max_contacts, with_edge=True)
-        length, opened = _length(state, max_contacts), _opened(state)
+        length, (ahead,) = _length(state, max_contacts), _excess(_opened(state))
         (broken,), (edge,) = state.front.position, state.front.edge
-        (ahead,) = _stress_and_excess(opened, _echo(opened.lane, opened.front.position))[1]
         status = outcome(broken, ahead >= 0, edge - 1, valid=jnp.isfinite(ahead), endless=jnp.isposinf(length))
         return broken.astype(jnp.int32), length, status, edge
 
@@ -115,18 +114,14 @@ def gradient_kernel(max_contacts: int) -> Kernel:
         length = _length(state, max_contacts, crossing)
         # ℓ = 0 is flat, and what is no number has no derivative
         flat = jnp.where(jnp.isfinite(length), 0, jnp.nan)
-        slopes = [sum(way * along for way, along in _pairs(rate, slope)) for rate in rates]
+        slopes = [sum(way * by for way, by in _pairs(rate, slope)) for rate in rates]
         return (jnp.stack([length, *(jnp.where(jnp.isfinite(length) & (length > 0), x, flat) for x in slopes)]),)
 
     return lengths
 
 
-class Jet(NamedTuple):
-    """A front on its lane that moves along a line of parameters: state, rate and bend, the first and second derivative."""
-
-    state: LaneState
-    rate: LaneState
-    bend: LaneState
+Jet = tuple[LaneState, LaneState, LaneState]
+"""A front on its lane that moves along a line of parameters: state, rate and bend, the first and second derivative."""
 
 
 @functools.cache
@@ -138,34 +133,28 @@ def jet_kernel(max_contacts: int, right: RightEnd = "semi-infinite") -> Kernel:
     """
 
     def jets(given: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
-        at, along = jnp.split(given, 2)
-        parameters = _plain(at)
-        ends = () if len(at) == 3 else (_end(parameters),)
-
-        def some_go(now: Jet) -> Bool[Array, ""]:
-            return _some_go(now.state, max_contacts)
-
-        begun = in_one_loop(functools.partial(_nucleated_jet, right=right), *at, *along, *ends)
-        now = lax.while_loop(some_go, lambda now: in_one_loop(_jet_turn, *in_one_loop(_jet_turn, *now)), begun)
+        at, direction = jnp.split(given, 2)
+        ends = () if len(at) == 3 else (_end(jnp.stack(_plain(at))),)
+        begun = in_one_loop(functools.partial(_nucleated_jet, right=right), *at, *direction, *ends)
+        now = _until_all_stop(_jet_turn, begun, max_contacts)
         crossing, *slopes = _used(in_one_loop(_jet_end, *now))[0]
-        length = _length(now.state, max_contacts, crossing)
+        length = _length(now[0], max_contacts, crossing)
         return (jnp.stack([length, *(jnp.where(jnp.isfinite(length) & (length > 0), x, 0) for x in slopes)]),)
 
     return jets
 
 
-def _plain(numbers: Any) -> Any:
+def _plain(numbers: Any) -> list[Any]:
     """Lane parameters from those whose positive ones are logarithms."""
-    return jnp.stack([x if 2 <= i < 5 else jnp.exp(x) for i, x in enumerate(numbers)])
+    return [x if 2 <= i < 5 else jnp.exp(x) for i, x in enumerate(numbers)]
 
 
 def _nucleated_jet(*fields: Number, right: RightEnd) -> Jet:
     count, end = len(fields) // 2, fields[-1] if len(fields) % 2 else None
-    at, along = fields[:count], fields[count : 2 * count]
+    at, direction = fields[:count], fields[count : 2 * count]
 
     def begun(t: Number) -> LaneState:
-        moved = [x + t * way for x, way in zip(at, along, strict=True)]
-        numbers = [x if 2 <= i < 5 else jnp.exp(x) for i, x in enumerate(moved)]
+        numbers = _plain(x + t * way for x, way in zip(at, direction, strict=True))
         return _nucleate(*numbers, *(() if end is None else (end,)), with_rates=False, most=None, right=right)[0]
 
     def with_rate(t: Number) -> tuple[LaneState, LaneState]:
@@ -173,7 +162,7 @@ def _nucleated_jet(*fields: Number, right: RightEnd) -> Jet:
 
     zero = jnp.zeros_like(fields[0])
     (state, first), (_, second) = jax.jvp(with_rate, (zero,), (jnp.ones_like(zero),))
-    return Jet(state, _what_moves(first), _what_moves(second, bends=True))
+    return state, _what_moves(first), _what_moves(second, bends=True)
 
 
 def _what_moves(way: LaneState, bends: bool = False) -> LaneState:
@@ -187,11 +176,11 @@ def _jet_turn(state: LaneState, rate: LaneState, bend: LaneState) -> Jet:
     for _ in range(BREAKS_PER_TURN):
         front, first, second = _jet(_break, state, rate, bend)
         state, rate, bend = LaneState(front, state.lane), LaneState(first, rate.lane), LaneState(second, bend.lane)
-    return Jet(state, rate, bend)
+    return state, rate, bend
 
 
 def _jet_end(state: LaneState, rate: LaneState, bend: LaneState) -> tuple[tuple[Any, Any, Any], Jet]:
-    return _jet(_crossing, state, rate, bend), Jet(state, rate, bend)
+    return _jet(_crossing, state, rate, bend), (state, rate, bend)
 
 
 def _jet(f: Callable[[LaneState], Any], state: LaneState, rate: LaneState, bend: LaneState) -> tuple[Any, Any, Any]:
@@ -235,17 +224,18 @@ def _until_all_arrest(
 ) -> WithRates:
     nucleate = functools.partial(_nucleate, with_rates=with_rates, most=max_contacts if with_edge else None, right=right)
     ends = () if parameters.shape[0] == 3 else (_end(parameters),)
-
-    begun = in_one_loop(nucleate, *parameters, *ends)
-    return lax.while_loop(
-        lambda now: _some_go(now[0], max_contacts), lambda now: in_one_loop(_turn, *in_one_loop(_turn, *now)), begun
-    )
+    return _until_all_stop(_turn, in_one_loop(nucleate, *parameters, *ends), max_contacts)
 
 
-def _some_go(state: LaneState, max_contacts: int) -> Bool[Array, ""]:
-    opened = _opened(state)
-    (goes,) = _goes(opened, _stress_and_excess(opened, _echo(opened.lane, opened.front.position))[1])
-    return jnp.any(goes & (state.front.position[0] < max_contacts))
+def _until_all_stop(turn: Callable[..., Any], begun: Any, max_contacts: int) -> Any:
+    """Take two turns at a time until no front goes on; the state is the first of what is handed on."""
+
+    def some_go(now: Any) -> Bool[Array, ""]:
+        opened = _opened(now[0])
+        (goes,) = _goes(opened, _excess(opened))
+        return jnp.any(goes & (now[0].front.position[0] < max_contacts))
+
+    return lax.while_loop(some_go, lambda now: in_one_loop(turn, *in_one_loop(turn, *now)), begun)
 
 
 def _end(parameters: Float[Array, "fields lanes"]) -> Float[Array, " lanes"]:
@@ -304,8 +294,8 @@ def _nucleate(*fields: Number, with_rates: bool, most: int | None, right: RightE
         prestress, slope = ([x] for x in numbers[3:5]) if len(numbers) > 3 else (None, None)
         lane = Lane(list(modes["gap"]), list(modes["weight"]), prestress, slope, end, cap)
         if sites is not None:
-            rate = [2 * jnp.log1p(-gap) for gap in modes["gap"]]
-            lane = lane._replace(echo=list(modes["echo"]), rate=rate, last=[modes["last"]])
+            decay = [2 * jnp.log1p(-gap) for gap in modes["gap"]]
+            lane = lane._replace(echo=list(modes["echo"]), rate=decay, last=[modes["last"]])
         (r11, r12), (_, r22) = modes["reflection"]
         half, drive = _array((r11, r12, r22)), _array(modes["drive"])
         if prestress is not None:
@@ -318,7 +308,7 @@ def _nucleate(*fields: Number, with_rates: bool, most: int | None, right: RightE
 
     state = begun(*numbers)
 
-    def along(which: int) -> LaneState:
+    def rate(which: int) -> LaneState:
         front, lane = jax.jvp(lambda x: begun(*numbers[:which], x, *numbers[which + 1 :]), (numbers[which],), (one,))[1]
         still = Lane(*[None] * len(Lane._fields))
         if which < 3:  # prestress and slope enter by the contacts alone
@@ -327,7 +317,7 @@ def _nucleate(*fields: Number, with_rates: bool, most: int | None, right: RightE
         moves = Front(front.stress, None, None, None)
         return LaneState(moves, still._replace(prestress=lane.prestress) if which == 3 else still._replace(slope=lane.slope))
 
-    return state, tuple(along(which) for which in range(len(numbers))) if with_rates else ()
+    return state, tuple(rate(which) for which in range(len(numbers))) if with_rates else ()
 
 
 def _echo(lane: Lane, position: Any) -> Any:
@@ -345,6 +335,11 @@ def _stress_and_excess(state: LaneState, echo: Any) -> tuple[Any, Any]:
     t = stress_ahead(front, echo)
     t = t if lane.prestress is None else lane.prestress + t
     return t, t - _threshold(lane, front.position)
+
+
+def _excess(state: LaneState) -> Any:
+    """Excess of the stress on the contact ahead over its threshold; of arrays."""
+    return _stress_and_excess(state, _echo(state.lane, state.front.position))[1]
 
 
 def _goes(state: LaneState, excess: Any) -> Any:
@@ -385,7 +380,7 @@ def _crossing(state: LaneState) -> Float[Array, " lanes"]:
     front, lane = now
     lane = lane._replace(growth=_inverse(1 - lane.gap))
     prestress = 0 if lane.prestress is None else lane.prestress
-    over = [_stress_and_excess(now, _echo(lane, front.position))[1][0]]
+    over = [_excess(now)[0]]
     for _ in range(REACHED - 1):
         front, released = taken_back(lane, front, prestress, functools.partial(_echo, lane), _inverse)
         excess = (released - _threshold(lane, front.position))[0]
@@ -402,7 +397,7 @@ def _with_slopes(state: LaneState) -> tuple[Any, LaneState]:
 def _pairs(rate: LaneState, slope: LaneState) -> list[tuple[Any, Any]]:
     """Rates of what moves, each with the derivative in it."""
     fields = zip((*rate.front, *rate.lane), (*slope.front, *slope.lane), strict=True)
-    return [pair for ways, along in fields if ways is not None for pair in zip(ways, along, strict=True)]
+    return [pair for ways, slopes in fields if ways is not None for pair in zip(ways, slopes, strict=True)]
 
 
 def _used(results: Any) -> Any:
@@ -412,8 +407,7 @@ def _used(results: Any) -> Any:
 
 def _length(state: LaneState, max_contacts: int, crossing: Any = None) -> Float[Array, " lanes"]:
     """ℓ; inf where nothing stops the front, NaN where it was given up."""
-    broken, opened = state.front.position[0], _opened(state)
-    (ahead,) = _stress_and_excess(opened, _echo(opened.lane, opened.front.position))[1]
+    (broken,), (ahead,) = state.front.position, _excess(_opened(state))
     endless = jnp.nan if state.lane.end is None else jnp.where(broken >= state.lane.end[0], jnp.inf, jnp.nan)
     going = ahead >= 0
     if state.lane.last is not None and state.lane.end is not None:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.domains import check_kind, check_single, check_whole
 from slippulse_jax.front.front import AnyInterface, contact_at, sweep, swept_length
-from slippulse_jax.interface import Interface, Profile
+from slippulse_jax.interface import Interface, Profile, check_no_delay
 from slippulse_jax.rules import BreakRule, HardBreak, check_rule
 from slippulse_jax.slider import Slider
 
@@ -63,11 +63,8 @@ def sensitivity(
     check_kind("interface", interface, Interface, Profile, NoneType)
     check_whole("sites", sites, 1)
     check_rule(rule, one=True)
-    if interface is not None and interface.repin_delay:
-        raise ValueError(
-            f"interface.repin_delay = {interface.repin_delay}: sensitivity needs contacts that repin at once; for a delay, "
-            "differentiate precursor_length of a Profile"
-        )
+    instead = "for a delay, differentiate precursor_length of a Profile"
+    check_no_delay(interface, f"sensitivity needs contacts that repin at once; {instead}")
     check_single("sensitivity", slider=slider, interface=interface)
     return _worked_out(slider, interface, sites, rule)
 

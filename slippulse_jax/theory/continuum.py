@@ -10,7 +10,7 @@ with (0, 1) = Σ g_m (1, α_m): a linear system that `slippulse_jax.double_serie
 Valid, as a limit of the lattice, for κ_1 λc ≪ 1: H ≫ λc and k ≪ K.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,17 +23,8 @@ from slippulse_jax.slider import Fields, Slider, each_slider
 from slippulse_jax.theory.frozen import leading_length
 
 
-class _Line(NamedTuple):
-    rate: Array  # κ_m
-    weight: Array  # W_m
-    upper: Array  # 1/α_m
-    reflection: Array  # R_mn
-    start: Array  # V_m when contact 0 has broken, u_b(0) = u_s
-    initial: Array  # V_m at nucleation (cra18), sum 1
-    excess: Array  # t(0) − 1: what contact 0, repinned at u_s, adds
-
-
-def _line(slider: Slider) -> _Line:
+def _line(slider: Slider) -> tuple[double_series.Series, Array, Array, Array]:
+    """The series; 1/α_m; V_m at nucleation (cra18), of sum 1; and t(0) − 1, what contact 0, repinned at u_s, adds."""
     k, q = jnp.stack([slider.kappa_1, slider.kappa_2]), jnp.asarray(slider.stiffness)
     alpha = jnp.stack([slider.alpha_1, slider.alpha_2])
     share = jnp.stack([-alpha[0], alpha[1]]) * slider.kappa_T**2 / slider.mode_splitting
@@ -50,12 +41,8 @@ def _line(slider: Slider) -> _Line:
     load = 1 / (per_load[0] + per_load[1])
     back = [amplitudes(-weight[n] * upper[n], weight[n] * (k[n] - slider.kappa**2)) for n in (0, 1)]
     released = amplitudes(jnp.zeros_like(KT), q)
-    broken = load * per_load + released
-    return _Line(k, weight, upper, jnp.stack(back, 1), broken, load * per_load, released.sum())
-
-
-def _solution(line: _Line) -> double_series.Series:
-    return double_series.solve(double_series.system_of(line.rate, line.weight, line.reflection, line.start))
+    system = double_series.system_of(k, weight, jnp.stack(back, 1), load * per_load + released)
+    return double_series.solve(system), upper, load * per_load, released.sum()
 
 
 def _differentiable(function: Any) -> Any:
@@ -67,7 +54,7 @@ def _differentiable(function: Any) -> Any:
 @jax.jit
 def continuum_stress(slider: Slider, s: Any) -> Float[Array, "..."]:
     """Front stress ũ(s+0; s) at s > 0 (labels cra26, cra33), in σ_s; at s = 0 its limit once contact 0 has broken."""
-    return each_slider(_differentiable(lambda x, y: double_series.stress(_solution(_line(x)), y)[0]), slider, s)
+    return each_slider(_differentiable(lambda x, y: double_series.stress(_line(x)[0], y)[0]), slider, s)
 
 
 @jax.jit
@@ -78,14 +65,14 @@ def length_continuum(slider: Slider) -> Float[Array, "..."]:
     """
 
     def one(slider: Slider) -> Array:
-        line, about = _line(slider), leading_length(slider)
+        (solution, _, _, first), about = _line(slider), leading_length(slider)
 
         def excess(x: tuple[double_series.Series, Array], s: Array) -> Array:
             """t(s) − 1 without the difference, which on soft interfaces is as little as b."""
             solution, first = x
             return first + double_series.rise(solution, s)[0]
 
-        return root_between(excess, (_solution(line), line.excess), jnp.zeros_like(about), 4 * about + 4)
+        return root_between(excess, (solution, first), jnp.zeros_like(about), 4 * about + 4)
 
     return each_slider(_differentiable(one), slider)
 
@@ -104,6 +91,6 @@ def continuum_fields(slider: Slider, s: Any, x: Any) -> Fields:
 
 @in_full
 def _fields(slider: Slider, s: Array, x: Array) -> Float[Array, "3"]:
-    line = _line(slider)
-    mode, stress = double_series.fields(_solution(line), line.weight, line.reflection, s, x, line.initial)
-    return jnp.stack([line.upper @ mode, mode.sum(), stress])
+    solution, upper, initial, _ = _line(slider)
+    mode, stress = double_series.fields(solution, s, x, initial)
+    return jnp.stack([upper @ mode, mode.sum(), stress])

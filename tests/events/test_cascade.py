@@ -440,7 +440,7 @@ def test_a_chain_takes_an_interface():
     np.testing.assert_allclose(sloped.prestress, 0.1)
     given = chain(FIG2, sites=4, interface=sp.Profile(threshold=[1.0, 2.0], prestress=0.3))
     np.testing.assert_array_equal(given.threshold, [1.0, 2.0, 2.0, 2.0])
-    with pytest.raises(ValueError, match="chain takes no repin_delay"):
+    with pytest.raises(ValueError, match="repin_delay = .*: chain takes only prestress"):
         chain(FIG2, sites=5, interface=sp.Interface(repin_delay=2))
     with pytest.raises(ValueError, match=r"chain takes one interface, got a batch of shape \(2,\)"):
         chain(FIG2, sites=5, interface=sp.Interface(prestress=[0.1, 0.2]))
