@@ -13,8 +13,8 @@ import numpy as np
 import slippulse_jax as sp
 from benchmarks.fit_coverage import Share, holds
 from slippulse_jax.blocks.size import many, tall_lengths
-from slippulse_jax.inference.intervals import LEVELS
-from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.inference.result.verdict import Identifiability
+from slippulse_jax.inference.search.intervals import LEVELS
 
 SIGMA, SPECIMENS, POISSON = 0.02, 6, 0.3
 

@@ -16,10 +16,10 @@ import numpy as np
 
 import slippulse_jax as sp
 from benchmarks.fit_coverage import Share, holds
-from slippulse_jax.inference.fronts import FirstFront
-from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.intervals import LEVELS
-from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.inference.model.fronts import FirstFront
+from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.result.verdict import Identifiability
+from slippulse_jax.inference.search.intervals import LEVELS
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 

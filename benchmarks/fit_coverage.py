@@ -17,10 +17,10 @@ from typing import NamedTuple
 import numpy as np
 
 from slippulse_jax import Measurements, Parameter, fit
-from slippulse_jax.inference.fronts import FirstFront
-from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.intervals import LEVELS, Interval, calibrated
-from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.inference.model.fronts import FirstFront
+from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.result.verdict import Identifiability
+from slippulse_jax.inference.search.intervals import LEVELS, Interval, calibrated
 
 SIGMA = 0.02  # of the length
 REGIMES = ("identifiable", "near-plateau")

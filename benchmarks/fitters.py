@@ -23,12 +23,12 @@ from scipy.optimize import curve_fit
 
 from benchmarks.fit_coverage import SIGMA, model, stiffness_at
 from slippulse_jax import Measurements, fit
-from slippulse_jax.inference.fronts import FirstFront
-from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.intervals import LEVELS
-from slippulse_jax.inference.likelihood import make_problem
-from slippulse_jax.inference.minimise import minimise
-from slippulse_jax.inference.parameters import parameter_set
+from slippulse_jax.inference.model.fronts import FirstFront
+from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.model.parameters import parameter_set
+from slippulse_jax.inference.search.intervals import LEVELS
+from slippulse_jax.inference.search.likelihood import make_problem
+from slippulse_jax.inference.search.minimise import minimise
 
 STARTS = np.log([1e-5, 1.0])
 REGIMES = ("three, identifiable", "three, near the plateau", "one, two roots", "one, above the ceiling")

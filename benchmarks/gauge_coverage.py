@@ -19,9 +19,9 @@ from scipy.special import chdtrc, chdtri
 
 import slippulse_jax as sp
 from benchmarks.fit_coverage import Share
-from slippulse_jax.inference.intervals import LEVELS
-from slippulse_jax.inference.likelihood import IMPROBABLE, make_problem
-from slippulse_jax.inference.parameters import parameter_set
+from slippulse_jax.inference.model.parameters import parameter_set
+from slippulse_jax.inference.search.intervals import LEVELS
+from slippulse_jax.inference.search.likelihood import IMPROBABLE, make_problem
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 

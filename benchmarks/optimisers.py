@@ -21,12 +21,12 @@ import numpy as np
 
 from benchmarks.fit_coverage import SIGMA, stiffness_at
 from slippulse_jax import Measurements, Parameter, fit
-from slippulse_jax.inference import fronts
-from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.likelihood import make_problem
-from slippulse_jax.inference.minimise import Convergence, Method, minimise
-from slippulse_jax.inference.parameters import parameter_set
-from slippulse_jax.inference.search import search
+from slippulse_jax.inference.model import fronts
+from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.model.parameters import parameter_set
+from slippulse_jax.inference.search.likelihood import make_problem
+from slippulse_jax.inference.search.minima import search
+from slippulse_jax.inference.search.minimise import Convergence, Method, minimise
 
 STARTS, STEPS, CLOSE = 32, 60, 1e-3
 EVERY = {"adam": 4}  # which studies it is given

@@ -16,8 +16,8 @@ import numpy as np
 import slippulse_jax as sp
 from benchmarks.fit_coverage import Share, holds
 from slippulse_jax.inference.fit import FitResult
-from slippulse_jax.inference.intervals import LEVELS
-from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.inference.result.verdict import Identifiability
+from slippulse_jax.inference.search.intervals import LEVELS
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "fit_examples"))
 

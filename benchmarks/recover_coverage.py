@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 import slippulse_jax as sp
-from slippulse_jax.inference.intervals import LEVELS
 from slippulse_jax.inference.recover import Determination, RecoveredProfile
+from slippulse_jax.inference.search.intervals import LEVELS
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 

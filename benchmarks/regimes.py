@@ -15,8 +15,8 @@ import numpy as np
 
 import slippulse_jax as sp
 from benchmarks.fit_coverage import Share, holds
-from slippulse_jax.inference.intervals import LEVELS
-from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.inference.result.verdict import Identifiability
+from slippulse_jax.inference.search.intervals import LEVELS
 
 YOUNG, LAMBDA = 3e9, 1e-5  # Pa, m
 

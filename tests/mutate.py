@@ -49,7 +49,7 @@ MODULES = {
     "bodies/equilibrium": "tests/bodies/test_equilibrium.py -k 'not continuum and not unrolled and not long_chain and not cut'",
     "events/rupture": "tests/events/test_cascade.py tests/front/test_surrogate.py "
     "-k '(test_cascade and not hundred_thousand and not devices and not size_of and not surrogate) or chain_approaches or same_smooth'",
-    "inference/likelihood": "tests/inference/test_fit_parameters.py tests/inference/test_fit_ends.py "
+    "inference/search/likelihood": "tests/inference/test_fit_parameters.py tests/inference/test_fit_ends.py "
     "-k 'gradient_is or of_a_count or counts_of or traced_density or least_density or parts_of or losses'",
 }
 """Modules, and the tests that should see a change there, quick ones first."""
@@ -70,7 +70,7 @@ EQUIVALENT: dict[tuple[str, str], str] = {
         "threshold, prestress = contact_at(modes, contacts, since * 1)",
     ): "beyond its last site a profile stays as it is there",
     (
-        "inference/likelihood",
+        "inference/search/likelihood",
         "slope = self(around.reshape(- 2, p), np.repeat(lane, around.shape[1]), 1).gradient",
     ): "NumPy takes any negative size for the one that is left",
     (

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import slippulse_jax as sp
-from slippulse_jax.inference.likelihood import make_problem
-from slippulse_jax.inference.parameters import parameter_set
+from slippulse_jax.inference.model.parameters import parameter_set
+from slippulse_jax.inference.search.likelihood import make_problem
 
 KINDS = (
     "one stiffness", "bounds", "counts", "mixed", "prestress", "second", "each specimen", "priors", "student", "relative",

@@ -10,7 +10,7 @@ from pathlib import Path
 import equations
 import errata
 
-from slippulse_jax.inference.columns import COLUMNS, OF_GAUGES
+from slippulse_jax.inference.table.columns import COLUMNS, OF_GAUGES
 
 DOCS = Path(__file__).resolve().parents[1]
 

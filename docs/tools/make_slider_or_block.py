@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 import slippulse_jax as sp
 from slippulse_jax.files import write_atomically
-from slippulse_jax.inference.family import Families
-from slippulse_jax.inference.fronts import pushed
-from slippulse_jax.inference.inputs import Inputs
+from slippulse_jax.inference.model.family import Families
+from slippulse_jax.inference.model.fronts import pushed
+from slippulse_jax.inference.model.inputs import Inputs
 
 DOCS = Path(__file__).resolve().parents[1]
 POISSON = 0.3

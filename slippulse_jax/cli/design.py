@@ -147,7 +147,7 @@ def _knowledge(
     import dataclasses
 
     from slippulse_jax.inference.knowledge import Knowledge
-    from slippulse_jax.inference.measurements import read_measurements
+    from slippulse_jax.inference.table.measurements import read_measurements
 
     prior = None
     if stiffness is not None and log_sd is not None:

@@ -27,7 +27,7 @@ def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ..
 def _print_template(ctx: click.Context, parameter: click.Parameter, body: Body | None) -> None:
     """Print a table to fill in, and no more."""
     if body is not None:
-        from slippulse_jax.inference.columns import template
+        from slippulse_jax.inference.table.columns import template
 
         click.echo(template(body), nl=False)
         ctx.exit()
@@ -38,7 +38,7 @@ class WithColumns(click.Command):
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List them, with their usual units."""
-        from slippulse_jax.inference.columns import COLUMNS, OF_GAUGES
+        from slippulse_jax.inference.table.columns import COLUMNS, OF_GAUGES
 
         for name, columns in (("LENGTHS.CSV", COLUMNS), ("GAUGES.CSV", OF_GAUGES)):
             with formatter.section(f"Columns of {name}"):
@@ -111,8 +111,8 @@ def command(ctx: click.Context, csv: str, **options: Any) -> None:
     Exit status: 0 also where the data do not determine a parameter, which the report says; 3 if the search did not converge.
     """
     from slippulse_jax.inference.fit import fit
-    from slippulse_jax.inference.measurements import MeasurementWarning, read_measurements
-    from slippulse_jax.inference.record import from_request, read_request
+    from slippulse_jax.inference.result.record import from_request, read_request
+    from slippulse_jax.inference.table.measurements import MeasurementWarning, read_measurements
 
     _check(options)
     try:

@@ -68,7 +68,7 @@ def one_form(
 
     All of `plain`, or of `si`, are needed.
     """
-    from slippulse_jax.inference.columns import SI
+    from slippulse_jax.inference.table.columns import SI
 
     forms = ((*plain, *optional[0]), (*si, *optional[1]))
     in_plain, in_si = ([name for name in form if given[name] is not None] for form in forms)

@@ -9,10 +9,10 @@ from jaxtyping import ArrayLike
 from slippulse_jax.block import ContactLaw, Control, Top
 from slippulse_jax.domains import HEIGHT, check_choice, check_domain
 from slippulse_jax.files import plain
-from slippulse_jax.inference.fronts import front_for
 from slippulse_jax.inference.knowledge import Gain, Kind, Knowledge, expected_gain, greedy, moments
-from slippulse_jax.inference.measurements import Measurements, numbers
-from slippulse_jax.inference.parameters import ParameterSet, parameter_set
+from slippulse_jax.inference.model.fronts import front_for
+from slippulse_jax.inference.model.parameters import ParameterSet, parameter_set
+from slippulse_jax.inference.table.measurements import Measurements, numbers
 from slippulse_jax.shown import html
 
 BIT = np.log(2)

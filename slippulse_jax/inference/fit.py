@@ -12,11 +12,19 @@ import numpy as np
 from tqdm.auto import tqdm
 
 from slippulse_jax.domains import check_choice, check_whole
-from slippulse_jax.inference import record
-from slippulse_jax.inference.check import checked, suspicions
 from slippulse_jax.inference.choices import Body, IntervalsBy, Loss, MeasuredEvent, Method, Sigma
-from slippulse_jax.inference.fronts import Front
-from slippulse_jax.inference.intervals import (
+from slippulse_jax.inference.model.check import checked, suspicions
+from slippulse_jax.inference.model.fronts import Front
+from slippulse_jax.inference.model.parameters import (
+    STIFFNESSES,
+    Parameter,
+    wanted_parameters,
+    with_errors_of_measuring,
+)
+from slippulse_jax.inference.result import record
+from slippulse_jax.inference.result.result import FitResult
+from slippulse_jax.inference.result.verdict import judge
+from slippulse_jax.inference.search.intervals import (
     LEVELS,
     Interval,
     Intervals,
@@ -28,16 +36,8 @@ from slippulse_jax.inference.intervals import (
     rise_of,
     to_be_simulated,
 )
-from slippulse_jax.inference.likelihood import Problem, make_problem
-from slippulse_jax.inference.measurements import Measurements, MeasurementWarning, measurements_of
-from slippulse_jax.inference.parameters import (
-    STIFFNESSES,
-    Parameter,
-    wanted_parameters,
-    with_errors_of_measuring,
-)
-from slippulse_jax.inference.result import FitResult
-from slippulse_jax.inference.search import (
+from slippulse_jax.inference.search.likelihood import Problem, make_problem
+from slippulse_jax.inference.search.minima import (
     SLACK,
     Curve,
     Found,
@@ -51,7 +51,7 @@ from slippulse_jax.inference.search import (
     scaled_to_scatter,
     search,
 )
-from slippulse_jax.inference.verdict import judge
+from slippulse_jax.inference.table.measurements import Measurements, MeasurementWarning, measurements_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -87,10 +87,10 @@ def fit(
     measurements : Measurements, pandas.DataFrame or path
         From `read_measurements`, or built from arrays; or a table with the columns of `read_measurements`, or its CSV file.
     free : sequence of str or Parameter
-        Parameters to fit, by the names of `slippulse_jax.inference.parameters.PARAMETERS`. "stiffness" is k/K where lengths
-        are in λc, the areal stiffness k/λc² where they are in SI. A `Parameter` adds bounds, a prior, one value per specimen.
-        Inputs that come with an error of their own are fitted beside them, with that error as prior; beside lengths of
-        provenance "measured" also a "model_factor" and, where they have σ, an "offset" (`with_errors_of_measuring`), unless
+        Parameters to fit, by the names of `slippulse_jax.inference.model.parameters.PARAMETERS`. "stiffness" is k/K where
+        lengths are in λc, the areal stiffness k/λc² where they are in SI. A `Parameter` adds bounds, a prior, one value per
+        specimen. Inputs that come with an error of their own are fitted beside them, with that error as prior; beside lengths
+        of provenance "measured" also a "model_factor" and, where they have σ, an "offset" (`with_errors_of_measuring`), unless
         they are named or held.
     bounds : (float, float), optional
         Range of the stiffness searched, in the unit of the result. By default everything from where no domino starts up to
@@ -110,8 +110,8 @@ def fit(
         Seed of the starts where several parameters are fitted, and of simulations.
     intervals : {"auto", "profile", "calibrated"}
         Rises of the deviance from χ²; or from measurements simulated at every value, which keep their coverage near the
-        longest attainable length too (`slippulse_jax.inference.intervals`; one or two parameters, plain lengths). By default
-        simulated where valleys of the deviance compete, or its shape is far from a parabola.
+        longest attainable length too (`slippulse_jax.inference.search.intervals`; one or two parameters, plain lengths). By
+        default simulated where valleys of the deviance compete, or its shape is far from a parabola.
     event : {"domino", "full", "crack"} or Front
         What was measured: the first front; or the whole event, in which contacts may break again where the areal stiffness is
         large (`rebreaking_onset`), with a cost that grows with it (docs/fit/use.md), for lengths without gauges; or the front

@@ -30,7 +30,7 @@ from slippulse_jax.bodies.response import of_slider
 from slippulse_jax.events.event import rises
 from slippulse_jax.events.first import Relaxed, first_event
 from slippulse_jax.front.front import end_of_front, sweep
-from slippulse_jax.inference.measurements import MeasurementError, Measurements
+from slippulse_jax.inference.table.measurements import MeasurementError, Measurements
 from slippulse_jax.slider import Slider
 
 ProfileKind = Literal["threshold", "prestress"]

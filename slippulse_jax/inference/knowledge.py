@@ -24,17 +24,17 @@ from scipy.special import logsumexp, ndtri, xlogy
 from slippulse_jax.choices import EventKind
 from slippulse_jax.domains import check_domain
 from slippulse_jax.front.front import check_event
-from slippulse_jax.inference.check import check_used, checked
 from slippulse_jax.inference.choices import Body
-from slippulse_jax.inference.columns import NUMERIC
-from slippulse_jax.inference.fronts import front_of
-from slippulse_jax.inference.likelihood import Problem, data_log_density, make_problem
-from slippulse_jax.inference.measurements import MeasurementError, Measurements, held, numbers, table
-from slippulse_jax.inference.parameters import STIFFNESSES, Parameter, ParameterSet
+from slippulse_jax.inference.model.check import check_used, checked
+from slippulse_jax.inference.model.fronts import front_of
+from slippulse_jax.inference.model.parameters import STIFFNESSES, Parameter, ParameterSet
+from slippulse_jax.inference.search.likelihood import Problem, data_log_density, make_problem
+from slippulse_jax.inference.table.columns import NUMERIC
+from slippulse_jax.inference.table.measurements import MeasurementError, Measurements, held, numbers, table
 from slippulse_jax.shown import format_number
 
 if TYPE_CHECKING:
-    from slippulse_jax.inference.result import FitResult
+    from slippulse_jax.inference.result.result import FitResult
 
 Kind = Literal["length", "whole"]
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from slippulse_jax.inference.fit import FitResult, fit, wanted_parameters
-from slippulse_jax.inference.measurements import Measurements
-from slippulse_jax.inference.parameters import Parameter
-from slippulse_jax.inference.samples import refitted, simulated
+from slippulse_jax.inference.model.parameters import Parameter
+from slippulse_jax.inference.result.samples import refitted, simulated
+from slippulse_jax.inference.table.measurements import Measurements
 from slippulse_jax.status import NotConverged
 
 LEVEL = 0.05

@@ -13,13 +13,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slippulse_jax.domains import check_choice
-from slippulse_jax.inference.check import checked
 from slippulse_jax.inference.choices import Body, Loss, MeasuredEvent
-from slippulse_jax.inference.fronts import Front
-from slippulse_jax.inference.likelihood import Problem, make_problem
-from slippulse_jax.inference.measurements import Measurements, measurements_of
-from slippulse_jax.inference.parameters import Parameter, wanted_parameters, with_errors_of_measuring
-from slippulse_jax.inference.search import lowest_look
+from slippulse_jax.inference.model.check import checked
+from slippulse_jax.inference.model.fronts import Front
+from slippulse_jax.inference.model.parameters import Parameter, wanted_parameters, with_errors_of_measuring
+from slippulse_jax.inference.search.likelihood import Problem, make_problem
+from slippulse_jax.inference.search.minima import lowest_look
+from slippulse_jax.inference.table.measurements import Measurements, measurements_of
 from slippulse_jax.keywords import did_you_mean
 
 if TYPE_CHECKING:

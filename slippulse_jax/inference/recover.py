@@ -29,9 +29,9 @@ from scipy.special import chdtrc, ndtr
 
 from slippulse_jax.domains import check_choice, check_domain, check_whole
 from slippulse_jax.files import plain
-from slippulse_jax.inference.check import check_used
 from slippulse_jax.inference.heterogeneous import Linearised, ProfileKind, ProfileProblem, followed, profile_problem
-from slippulse_jax.inference.measurements import Measurements
+from slippulse_jax.inference.model.check import check_used
+from slippulse_jax.inference.table.measurements import Measurements
 from slippulse_jax.shown import plural
 
 _AMPLITUDES = {"threshold": np.geomspace(0.005, 0.3, 6), "prestress": np.geomspace(0.005, 0.2, 6)}

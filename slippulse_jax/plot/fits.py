@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slippulse_jax.inference.columns import READINGS
-from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.intervals import LEVELS, profile_2d
-from slippulse_jax.inference.predicted import alike
-from slippulse_jax.inference.report import title
-from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.result.predicted import alike
+from slippulse_jax.inference.result.report import title
+from slippulse_jax.inference.result.verdict import Identifiability
+from slippulse_jax.inference.search.intervals import LEVELS, profile_2d
+from slippulse_jax.inference.table.columns import READINGS
 from slippulse_jax.plot.labels import as_written, axis_label, equation, printed
 from slippulse_jax.plot.style import (
     ABOVE,
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from slippulse_jax.inference.fit import FitResult
-    from slippulse_jax.inference.measurements import Gauges
-    from slippulse_jax.inference.parameters import Free
-    from slippulse_jax.inference.predicted import LengthCurve
+    from slippulse_jax.inference.model.parameters import Free
+    from slippulse_jax.inference.result.predicted import LengthCurve
+    from slippulse_jax.inference.table.measurements import Gauges
 
 ONE_SIGMA, BAND_LEVEL = LEVELS
 MOST_CURVES = 6

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slippulse_jax.inference.intervals import LEVELS
+from slippulse_jax.inference.search.intervals import LEVELS
 from slippulse_jax.plot.labels import DISTANCE, axis_label
 from slippulse_jax.plot.style import axes, colours, dashed_where, drawn, handles_of, legend_above
 

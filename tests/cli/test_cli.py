@@ -17,7 +17,7 @@ from slippulse_jax.blocks import size
 from slippulse_jax.cli import main as cli
 from slippulse_jax.exact import front as exact_front
 from slippulse_jax.files import plain
-from slippulse_jax.inference.columns import COLUMNS, OF_GAUGES
+from slippulse_jax.inference.table.columns import COLUMNS, OF_GAUGES
 from slippulse_jax.status import Outcome
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -224,7 +224,7 @@ def test_what_is_not_found_is_one_line_and_exit_3(tmp_path, monkeypatch, in_this
     def lost(lanes, **_):
         return np.full(lanes.shape[1], np.nan), np.full(lanes.shape[1], Outcome.NOT_CONVERGED)
 
-    monkeypatch.setattr("slippulse_jax.inference.fronts.exact_fronts", lost)
+    monkeypatch.setattr("slippulse_jax.inference.model.fronts.exact_fronts", lost)
     done = in_this_process("fit", str(tall))
     assert done.returncode == 3
     *_, last = done.stderr.splitlines()

@@ -10,8 +10,8 @@ from reports import unfolded
 
 from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.fit import fit
-from slippulse_jax.inference.measurements import Measurements
-from slippulse_jax.inference.record import from_request, read_request
+from slippulse_jax.inference.result.record import from_request, read_request
+from slippulse_jax.inference.table.measurements import Measurements
 
 DATA = str(Path(__file__).resolve().parents[2] / "fit_examples/pmma_block/lengths.csv")
 
@@ -102,7 +102,7 @@ def test_where_no_length_is_the_longest_attainable_json_has_null(monkeypatch):
     def endless(q, theta):
         return (np.full(len(q.inputs_at(theta).ratio), np.inf),) * 2
 
-    monkeypatch.setattr("slippulse_jax.inference.parameters.ParameterSet.attainable", endless)
+    monkeypatch.setattr("slippulse_jax.inference.model.parameters.ParameterSet.attainable", endless)
     done = run("--json")
     assert done.exit_code == 0, done.output
     assert set(json.loads(done.stdout)["attainable"]) == {None}

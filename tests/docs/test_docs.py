@@ -21,7 +21,7 @@ from slippulse_jax.bodies.modes import ChainFields
 from slippulse_jax.events.catalogue import Catalogue, EventClass
 from slippulse_jax.events.inertia import Motion
 from slippulse_jax.front.front import FRONT_OUTCOMES
-from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.status import Outcome
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 
 import slippulse_jax as sp
-from slippulse_jax.inference.changes import END, MACHINES, NORMAL, PRESSED, PUSHES
-from slippulse_jax.inference.columns import COLUMNS
-from slippulse_jax.inference.verdict import GIVEN, Identifiability
+from slippulse_jax.inference.result.changes import END, MACHINES, NORMAL, PRESSED, PUSHES
+from slippulse_jax.inference.result.verdict import GIVEN, Identifiability
+from slippulse_jax.inference.table.columns import COLUMNS
 
 EXAMPLES = Path(__file__).parents[2] / "fit_examples"
 LARGER = {"height": 1.01, "length": 1.01, "young": 1.05, "correlation_length": 0.5, "push_height": 1.05, "friction": 1.1}
@@ -86,7 +86,7 @@ def check_rows(text, rows=None, **options):
         cases = changed(table, result, change)
         for i, (other, more) in enumerate(cases):
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", sp.inference.measurements.MeasurementWarning)
+                warnings.simplefilter("ignore", sp.inference.table.measurements.MeasurementWarning)
                 try:
                     found = sp.fit(sp.Measurements.from_dataframe(other), **{**options, **more})
                 except ValueError:

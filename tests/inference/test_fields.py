@@ -19,8 +19,8 @@ from slippulse_jax.events.first import Relaxed, first_event
 from slippulse_jax.front.front import front_stress
 from slippulse_jax.inference import heterogeneous
 from slippulse_jax.inference.heterogeneous import followed, profile_problem
-from slippulse_jax.inference.measurements import MeasurementError
 from slippulse_jax.inference.recover import LEVEL, Determination, condition, mixture, quantile, squared_exponential
+from slippulse_jax.inference.table.measurements import MeasurementError
 from slippulse_jax.interface import Profile
 
 STIFFNESS, POISSON, SITES = 0.03, 0.3, 64

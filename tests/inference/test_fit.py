@@ -11,15 +11,15 @@ import pytest
 from reports import moves, section, unfolded
 
 from slippulse_jax import Measurements, Parameter, fit, plot, read_measurements
-from slippulse_jax.inference import search
-from slippulse_jax.inference.changes import of_inputs, total
-from slippulse_jax.inference.fronts import RISING, FirstFront
-from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.intervals import Interval
-from slippulse_jax.inference.minimise import Convergence
-from slippulse_jax.inference.report import interval, value_with_error
-from slippulse_jax.inference.search import undetermined_axes
-from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.inference.model.fronts import RISING, FirstFront
+from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.result.changes import of_inputs, total
+from slippulse_jax.inference.result.report import interval, value_with_error
+from slippulse_jax.inference.result.verdict import Identifiability
+from slippulse_jax.inference.search import minima
+from slippulse_jax.inference.search.intervals import Interval
+from slippulse_jax.inference.search.minima import undetermined_axes
+from slippulse_jax.inference.search.minimise import Convergence
 
 ROOT = Path(__file__).resolve().parents[2]
 PMMA = ROOT / "fit_examples/pmma_block/lengths.csv"
@@ -173,7 +173,7 @@ def test_plateau_without_domino_is_never_called_converged(monkeypatch):
     m = Measurements(height=[5.0], poisson=0.3, length=3.0, length_sigma=0.1)
     with pytest.raises(ValueError, match="no domino starts at k/K from 1e-09 to 0.0001; expected within"):
         fit(m, bounds=(1e-9, 1e-4))
-    monkeypatch.setattr("slippulse_jax.inference.check._check_reached", lambda *_: None)
+    monkeypatch.setattr("slippulse_jax.inference.model.check._check_reached", lambda *_: None)
     result = fit(m, bounds=(1e-9, 1e-4))
     assert result.roots == []
     assert result.stderrs["stiffness"] is None
@@ -193,13 +193,13 @@ def test_bounds_cut_off_the_minimum():
 
 
 def test_unfinished_search_says_so(monkeypatch):
-    descend = search.descend
+    descend = minima.descend
 
     def unfinished(*arguments, **options):
         ends = descend(*arguments, **options)
         return ends._replace(convergence=np.full(len(ends.value), Convergence.NOT_CONVERGED))
 
-    monkeypatch.setattr(search, "descend", unfinished)
+    monkeypatch.setattr(minima, "descend", unfinished)
     result = fit(study(np.array([15.0, 30.0, 60.0]), 0.0123, 0.01))
     assert not result.converged
     assert "did not converge" in unfolded(result.report())
@@ -284,7 +284,7 @@ def test_hardly_any_scatter_is_one_search(monkeypatch):
     """Where σ is that of the least scatter believed, the deviance compared is that under this σ: no search need be repeated."""
     searches = []
     monkeypatch.setattr(
-        "slippulse_jax.inference.fit.search", lambda *x, **options: searches.append(x) or search.search(*x, **options)
+        "slippulse_jax.inference.fit.search", lambda *x, **options: searches.append(x) or minima.search(*x, **options)
     )
     height = np.array([15.0, 30.0, 60.0, 90.0])
     length = exact(height, 0.003) * (1 + 1e-5 * np.array([1, -1, 0.5, -0.5]))

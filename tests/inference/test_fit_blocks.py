@@ -19,12 +19,12 @@ import slippulse_jax as sp
 from slippulse_jax.blocks.size import tall_length
 from slippulse_jax.cli.fit import command
 from slippulse_jax.cli.length import command as length_command
-from slippulse_jax.inference import family
-from slippulse_jax.inference.family import Families, geometry_of
-from slippulse_jax.inference.fronts import BlockEvent
-from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.record import as_request, from_request
-from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.inference.model import family
+from slippulse_jax.inference.model.family import Families, geometry_of
+from slippulse_jax.inference.model.fronts import BlockEvent
+from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.result.record import as_request, from_request
+from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.status import Outcome
 from slippulse_jax.theory import block_decay_length
 

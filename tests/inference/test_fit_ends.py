@@ -12,11 +12,11 @@ from reports import moves, unfolded
 from slopes import slopes_of
 
 import slippulse_jax as sp
-from slippulse_jax.inference.fronts import FirstFront
-from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.likelihood import log_density
-from slippulse_jax.inference.measurements import MeasurementError
-from slippulse_jax.inference.observables import predicted
+from slippulse_jax.inference.model.fronts import FirstFront
+from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.model.observables import predicted
+from slippulse_jax.inference.search.likelihood import log_density
+from slippulse_jax.inference.table.measurements import MeasurementError
 from slippulse_jax.status import Outcome
 
 HEIGHT, TRUTH = np.array([12.0, 16.0, 20.0]), 0.0126

@@ -17,11 +17,11 @@ from slopes import slopes_of
 import slippulse_jax as sp
 from slippulse_jax import plot
 from slippulse_jax.cli.fit import command
-from slippulse_jax.inference.fronts import WholeEvent, front_for
-from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.likelihood import log_density
-from slippulse_jax.inference.record import as_request, from_request
-from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.inference.model.fronts import WholeEvent, front_for
+from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.result.record import as_request, from_request
+from slippulse_jax.inference.result.verdict import Identifiability
+from slippulse_jax.inference.search.likelihood import log_density
 from slippulse_jax.plot.labels import AGAIN
 
 HEIGHT = np.array([15.0, 20.0, 30.0, 40.0, 50.0, 60.0])

@@ -17,16 +17,16 @@ from slopes import slopes_of
 
 import slippulse_jax as sp
 from slippulse_jax import Measurements, Parameter, fit, read_measurements
-from slippulse_jax.inference.check import checked
 from slippulse_jax.inference.fit import wanted_parameters
-from slippulse_jax.inference.fronts import FirstFront
-from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.intervals import rise_of
-from slippulse_jax.inference.likelihood import EXPECTED, INFORMATION, Observations, loss_of, make_problem, terms
-from slippulse_jax.inference.observables import predicted
-from slippulse_jax.inference.parameters import parameter_set
-from slippulse_jax.inference.samples import bootstrap
-from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.inference.model.check import checked
+from slippulse_jax.inference.model.fronts import FirstFront
+from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.model.observables import predicted
+from slippulse_jax.inference.model.parameters import parameter_set
+from slippulse_jax.inference.result.samples import bootstrap
+from slippulse_jax.inference.result.verdict import Identifiability
+from slippulse_jax.inference.search.intervals import rise_of
+from slippulse_jax.inference.search.likelihood import EXPECTED, INFORMATION, Observations, loss_of, make_problem, terms
 from slippulse_jax.status import Outcome
 
 

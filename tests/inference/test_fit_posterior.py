@@ -18,10 +18,10 @@ from click.testing import CliRunner
 from slippulse_jax import Measurements, Parameter, fit
 from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.fit import FitResult
-from slippulse_jax.inference.fronts import FirstFront
-from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.likelihood import log_density, make_problem
-from slippulse_jax.inference.parameters import parameter_set
+from slippulse_jax.inference.model.fronts import FirstFront
+from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.model.parameters import parameter_set
+from slippulse_jax.inference.search.likelihood import log_density, make_problem
 
 DATA = str(Path(__file__).resolve().parents[2] / "fit_examples/pmma_block/lengths.csv")
 

@@ -13,12 +13,12 @@ from scipy.optimize import minimize
 
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
-from slippulse_jax.inference.changes import Change, of_inputs, total_interval, total_of_ratio
-from slippulse_jax.inference.family import Families
-from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.intervals import LEVELS
-from slippulse_jax.inference.report import value_with_error
-from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.inference.model.family import Families
+from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.result.changes import Change, of_inputs, total_interval, total_of_ratio
+from slippulse_jax.inference.result.report import value_with_error
+from slippulse_jax.inference.result.verdict import Identifiability
+from slippulse_jax.inference.search.intervals import LEVELS
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "fit_examples"
 HEIGHT = np.array([250.0, 350.0, 450.0, 550.0, 650.0, 750.0])
@@ -378,7 +378,7 @@ def test_a_block_without_the_like_of_a_slider_has_a_report(monkeypatch):
     """Where no fit of a slider is found to the lengths of a block, the report says so instead of failing."""
     result = sp.fit(EXAMPLES / "pushed_block/lengths.csv")
 
-    monkeypatch.setattr("slippulse_jax.inference.likelihood.Problem.accepts", lambda *_: False)
+    monkeypatch.setattr("slippulse_jax.inference.search.likelihood.Problem.accepts", lambda *_: False)
     assert np.isnan(moves(result)["slider"]["areal_stiffness"])
     assert re.search(r"\n  the paper's slider +none fits\n", result.report())
 

@@ -16,14 +16,14 @@ import slippulse_jax as sp
 from benchmarks import gauge_coverage
 from slippulse_jax.cli.fit import command
 from slippulse_jax.front.front import readings
-from slippulse_jax.inference.fronts import FirstFront
-from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.likelihood import log_density, make_problem
-from slippulse_jax.inference.measurements import MeasurementError, read_measurements
-from slippulse_jax.inference.minimise import minimise
-from slippulse_jax.inference.observables import predicted
-from slippulse_jax.inference.parameters import parameter_set
-from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.inference.model.fronts import FirstFront
+from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.model.observables import predicted
+from slippulse_jax.inference.model.parameters import parameter_set
+from slippulse_jax.inference.result.verdict import Identifiability
+from slippulse_jax.inference.search.likelihood import log_density, make_problem
+from slippulse_jax.inference.search.minimise import minimise
+from slippulse_jax.inference.table.measurements import MeasurementError, read_measurements
 
 LC, YOUNG, STRENGTH, AREAL = 1e-4, 3e9, 2e6, 6e11
 RATIO = AREAL * LC / YOUNG

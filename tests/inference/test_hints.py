@@ -11,11 +11,11 @@ from reports import unfolded
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
 from slippulse_jax.domains import Domain
-from slippulse_jax.inference.check import suspicions
-from slippulse_jax.inference.columns import COLUMNS
-from slippulse_jax.inference.measurements import MeasurementError, Measurements, MeasurementWarning
-from slippulse_jax.inference.parameters import Parameter
-from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.inference.model.check import suspicions
+from slippulse_jax.inference.model.parameters import Parameter
+from slippulse_jax.inference.result.verdict import Identifiability
+from slippulse_jax.inference.table.columns import COLUMNS
+from slippulse_jax.inference.table.measurements import MeasurementError, Measurements, MeasurementWarning
 
 HEIGHT = np.array([15.0, 25.0, 40.0, 60.0, 80.0, 100.0])
 NOISE = 0.3 * np.random.default_rng(0).standard_normal(6)

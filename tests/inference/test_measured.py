@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import slippulse_jax as sp
-from slippulse_jax.inference.parameters import MODEL_ERROR
+from slippulse_jax.inference.model.parameters import MODEL_ERROR
 
 HEIGHT = np.array([25.0, 35.0, 45.0, 55.0, 65.0, 75.0]) * 10
 STIFFNESS = 3e-4
@@ -49,7 +49,7 @@ def test_held_they_leave_the_error_of_the_lengths(lengths):
 
 @pytest.mark.ci
 def test_a_fit_repeated_from_its_record_is_the_same(lengths):
-    from slippulse_jax.inference.record import from_request
+    from slippulse_jax.inference.result.record import from_request
 
     result = sp.fit(lengths)
     again = sp.fit(lengths, **from_request(result.to_dict()["request"]))

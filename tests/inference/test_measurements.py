@@ -11,8 +11,8 @@ import pytest
 
 import slippulse_jax as sp
 from slippulse_jax import Measurements, fit, read_measurements
-from slippulse_jax.inference import columns
-from slippulse_jax.inference.measurements import Gauges, MeasurementError, MeasurementWarning, measurements_of
+from slippulse_jax.inference.table import columns
+from slippulse_jax.inference.table.measurements import Gauges, MeasurementError, MeasurementWarning, measurements_of
 
 SI = "height_mm,correlation_length_um,poisson,length_mm,length_sigma_mm"
 PLAIN = "height,poisson,length,length_sigma"

@@ -12,8 +12,8 @@ from test_gauges import AREAL, LC, RATIO, STRENGTH, UNIT, YOUNG, table
 
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
-from slippulse_jax.inference.likelihood import log_density, make_problem
-from slippulse_jax.inference.parameters import parameter_set
+from slippulse_jax.inference.model.parameters import parameter_set
+from slippulse_jax.inference.search.likelihood import log_density, make_problem
 from slippulse_jax.status import Outcome
 
 FRICTION = 0.4

@@ -5,8 +5,8 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from slippulse_jax.inference.likelihood import Evaluation
-from slippulse_jax.inference.minimise import Convergence, Method, minimise
+from slippulse_jax.inference.search.likelihood import Evaluation
+from slippulse_jax.inference.search.minimise import Convergence, Method, minimise
 
 
 class LeastSquares:

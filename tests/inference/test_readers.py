@@ -8,8 +8,9 @@ from click.testing import CliRunner
 from slippulse_jax.cli import main as cli
 from slippulse_jax.cli import sweep as sweep_command
 from slippulse_jax.files import read_whole
-from slippulse_jax.inference import measurements, record, tables
-from slippulse_jax.inference.measurements import MeasurementError
+from slippulse_jax.inference.result import record
+from slippulse_jax.inference.table import measurements, tables
+from slippulse_jax.inference.table.measurements import MeasurementError
 
 MOST = 40
 """Bytes of memory per byte of a table or request, as docs/evidence/robustness.md says."""

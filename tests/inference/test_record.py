@@ -11,8 +11,8 @@ from click.testing import CliRunner
 
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
-from slippulse_jax.inference.measurements import MeasurementError, MeasurementWarning
-from slippulse_jax.inference.record import data_hash
+from slippulse_jax.inference.result.record import data_hash
+from slippulse_jax.inference.table.measurements import MeasurementError, MeasurementWarning
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "fit_examples"
 LENGTHS = EXAMPLES / "pmma_block/lengths.csv"
@@ -178,10 +178,10 @@ def test_a_loaded_fit_fits_nothing_again(name, tmp_path, monkeypatch, worked):
     def refuse(*_, **__):
         raise AssertionError("fitted again")
 
-    for module in ("changes", "search", "intervals", "samples"):
+    for module in ("result.changes", "search.minima", "search.intervals", "result.samples"):
         monkeypatch.setattr(f"slippulse_jax.inference.{module}.minimise", refuse)
     for name in ("_refitted", "_again", "_with"):
-        monkeypatch.setattr(f"slippulse_jax.inference.changes.{name}", refuse)
+        monkeypatch.setattr(f"slippulse_jax.inference.result.changes.{name}", refuse)
     monkeypatch.setattr("slippulse_jax.inference.fit.fit", refuse)
     loaded = sp.load_fit(tmp_path / "fit.json")
     assert loaded.report(verbose=True) == said
@@ -205,7 +205,7 @@ def test_likely_mistakes_are_found_once_and_kept(tmp_path, monkeypatch):
     assert content.pop("suspicions") == list(result.suspicions)
     earlier.write_text(json.dumps(content))
     assert sp.load_fit(earlier).suspicions == result.suspicions
-    monkeypatch.setattr("slippulse_jax.inference.record.suspicions", None)
+    monkeypatch.setattr("slippulse_jax.inference.result.record.suspicions", None)
     loaded = sp.load_fit(path)
     assert loaded.suspicions == result.suspicions
     assert loaded.report() == result.report()

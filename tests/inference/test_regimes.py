@@ -6,10 +6,10 @@ import random_tables
 
 import slippulse_jax as sp
 from benchmarks.regimes import counts, roots_missed, run, two
-from slippulse_jax.inference.intervals import allowed_by_counts
-from slippulse_jax.inference.likelihood import make_problem
-from slippulse_jax.inference.parameters import parameter_set
-from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.inference.model.parameters import parameter_set
+from slippulse_jax.inference.result.verdict import Identifiability
+from slippulse_jax.inference.search.intervals import allowed_by_counts
+from slippulse_jax.inference.search.likelihood import make_problem
 from slippulse_jax.status import Outcome
 
 
@@ -152,7 +152,7 @@ def test_limits_alone_end(loss, sigma):
 @pytest.mark.parametrize("kind", ["whole", "at_least"])
 def test_slope_of_a_limit_however_far_away(kind):
     """By σ = 0, of a thousandth of a contact: 1e8 blurs, where a difference of logarithms has no digits left."""
-    from slippulse_jax.inference.likelihood import Observations, terms
+    from slippulse_jax.inference.search.likelihood import Observations, terms
 
     off = -np.array([1.0, 1e2, 1e5])
     value = np.full((1, 3), 2e5)
@@ -176,7 +176,7 @@ def fitted_in_time(table):
     return None
 
 
-@pytest.mark.filterwarnings("ignore::slippulse_jax.inference.measurements.MeasurementWarning")
+@pytest.mark.filterwarnings("ignore::slippulse_jax.inference.table.measurements.MeasurementWarning")
 @pytest.mark.parametrize(
     "kind", [pytest.param(kind, marks=pytest.mark.ci) for kind in ("bounds", "counts", "prestress", "priors")]
 )
@@ -186,7 +186,7 @@ def test_a_random_table_is_fitted_in_time(kind):
 
 
 @pytest.mark.ci
-@pytest.mark.filterwarnings("ignore::slippulse_jax.inference.measurements.MeasurementWarning")
+@pytest.mark.filterwarnings("ignore::slippulse_jax.inference.table.measurements.MeasurementWarning")
 @pytest.mark.parametrize("seed", [372, 405])
 def test_a_valley_between_the_edges_of_counts_is_followed_to_its_end(seed):
     """These did not converge in the steps of a start; of the first, no stiffness of a huge deviance is preferred to it."""
@@ -197,7 +197,7 @@ def test_a_valley_between_the_edges_of_counts_is_followed_to_its_end(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::slippulse_jax.inference.measurements.MeasurementWarning")
+@pytest.mark.filterwarnings("ignore::slippulse_jax.inference.table.measurements.MeasurementWarning")
 def test_random_tables():
     """Every search ends and converges; of what is identified all but 1 % lie within 4 standard errors of the truth."""
     off, failed = [], []

@@ -6,10 +6,10 @@ import random_tables
 
 import slippulse_jax as sp
 from slippulse_jax.inference.fit import wanted_parameters
-from slippulse_jax.inference.parameters import parameter_set, with_errors_of_measuring
-from slippulse_jax.inference.search import Grid
+from slippulse_jax.inference.model.parameters import parameter_set, with_errors_of_measuring
+from slippulse_jax.inference.search.minima import Grid
 
-pytestmark = pytest.mark.filterwarnings("ignore::slippulse_jax.inference.measurements.MeasurementWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::slippulse_jax.inference.table.measurements.MeasurementWarning")
 KINDS = ("one stiffness", "bounds", "counts", "mixed", "prestress", "second", "each specimen", "priors", "student", "relative")
 DENSE = {1: 20_001, 2: 101, 3: 21}
 """Nodes along each parameter, by the number of parameters."""

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
-from slippulse_jax.inference.columns import COLUMNS
-from slippulse_jax.inference.measurements import MeasurementError, read_gauges
+from slippulse_jax.inference.table.columns import COLUMNS
+from slippulse_jax.inference.table.measurements import MeasurementError, read_gauges
 
 SI = "height_mm,correlation_length_um,poisson,young_GPa,length_mm,length_sigma_mm"
 BARE = "height,correlation_length,poisson,young,length,length_sigma"

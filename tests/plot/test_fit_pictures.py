@@ -9,9 +9,9 @@ import pandas as pd
 import pytest
 
 from slippulse_jax import Measurements, Parameter, fit, plot, read_measurements
-from slippulse_jax.inference.fronts import FirstFront
-from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.verdict import Identifiability
+from slippulse_jax.inference.model.fronts import FirstFront
+from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.result.verdict import Identifiability
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "fit_examples"
 HEIGHT_OF_P = (40.0, 60.0, 80.0, 100.0)

@@ -33,44 +33,63 @@ LAYERS = {
     "plot": 10, "paper": 11,
     "cli": 12,
 }  # fmt: skip
+WAY_OF_A_FIT = {
+    "choices": 0, "table": 1, "model": 2, "search": 3, "result": 4,
+    "fit": 5, "objective": 5, "knowledge": 5, "heterogeneous": 5, "mechanism": 6, "design": 6, "recover": 6,
+}  # fmt: skip
+"""The same of the rooms of `inference`."""
 
 
 def imports(path):
-    """Modules of the package that a file imports, anywhere in it."""
+    """Modules of the package that a file imports, anywhere in it, and the names that it imports from them."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     types_only = [one for one in tree.body if isinstance(one, ast.If) and "TYPE_CHECKING" in ast.unparse(one.test)]
     tree.body = [one for one in tree.body if one not in types_only]
     for node in ast.walk(tree):
         names = (
-            [node.module]
-            if isinstance(node, ast.ImportFrom)
+            [node.module, *(f"{node.module}.{a.name}" for a in node.names)]
+            if isinstance(node, ast.ImportFrom) and node.module
             else [a.name for a in node.names]
             if isinstance(node, ast.Import)
             else []
         )
-        yield from (name for name in names if name and name.startswith("slippulse_jax."))
+        yield from (name for name in names if name.startswith("slippulse_jax."))
 
 
-def test_imports_run_downward():
-    seen = 0
-    for path in PACKAGE.rglob("*.py"):
-        layer = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+@pytest.mark.parametrize(("room", "layers"), [("", LAYERS), ("inference.", WAY_OF_A_FIT)], ids=["package", "inference"])
+def test_imports_run_downward(room, layers):
+    seen, folder, inside = 0, PACKAGE / room.rstrip("."), f"slippulse_jax.{room}"
+    for path in folder.rglob("*.py"):
+        layer = path.relative_to(folder).parts[0].removesuffix(".py")
         if layer == "__init__":
             continue
-        assert layer in LAYERS, f"{layer} has no place in the layers: give it one"
+        assert layer in layers, f"{layer} has no place in the layers: give it one"
         for name in imports(path):
-            other = name.split(".")[1]
-            if layer in ("slider", "block") and name in ("slippulse_jax.events.first", "slippulse_jax.blocks.event"):
+            if not name.startswith(inside):
+                continue
+            other = name.removeprefix(inside).split(".")[0]
+            if layer in ("slider", "block") and name.startswith(("slippulse_jax.events.first", "slippulse_jax.blocks.event")):
                 continue  # a body's `contacts` calls up, into the room that computes them
             seen += 1
-            assert other == layer or LAYERS[other] < LAYERS[layer], f"{path.name} imports {name}"
+            assert other == layer or layers[other] < layers[layer], f"{path.name} imports {name}"
     assert seen > 20
+
+
+@pytest.mark.parametrize("room", ["blocks", "bodies", *(f"inference/{one}" for one in ("table", "model", "search", "result"))])
+def test_modules_are_listed_in_the_order_in_which_they_build_on_each_other(room):
+    """What the page of a room says: each module once, below all that it imports."""
+    listed = re.findall(r"^ *`(\w+)` {3}", (PACKAGE / room / "__init__.py").read_text("utf-8"), flags=re.M)
+    assert sorted(listed) == sorted(path.stem for path in (PACKAGE / room).glob("*.py") if path.stem != "__init__")
+    inside = f"slippulse_jax.{room.replace('/', '.')}."
+    for n, one in enumerate(listed):
+        for name in imports(PACKAGE / room / f"{one}.py"):
+            assert not name.startswith(inside) or name.removeprefix(inside).split(".")[0] in listed[:n], f"{one} imports {name}"
 
 
 def test_docstrings_begin_with_twelve_words_at_most():
     """Of those that a user of fits, pictures and commands reads, all but so many, which may only become fewer."""
     long = []
-    for path in (one for room in ("inference", "plot", "cli") for one in sorted((PACKAGE / room).glob("*.py"))):
+    for path in (one for room in ("inference", "plot", "cli") for one in sorted((PACKAGE / room).rglob("*.py"))):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Module) and (text := ast.get_docstring(node)):
                 long += [f"{path.name}: {line}" for line in text.splitlines()[:1] if len(line.split()) > 12]

@@ -1,7 +1,7 @@
 """Read CSV files and DataFrames into columns of numbers and texts.
 
 What cannot be read is refused by line and column. docs/reference/columns.md has the form of a table, of which
-`slippulse_jax.inference.measurements` makes measurements.
+`slippulse_jax.inference.table.measurements` makes measurements.
 """
 
 import csv
@@ -17,7 +17,7 @@ from unicodedata import name as name_of
 import numpy as np
 
 from slippulse_jax.files import read_whole
-from slippulse_jax.inference.columns import (
+from slippulse_jax.inference.table.columns import (
     COLUMNS,
     IN_LC,
     KNOWN,

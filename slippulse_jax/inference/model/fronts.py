@@ -29,10 +29,10 @@ from slippulse_jax.front.front import APPROACH, DEFAULT_MAX_CONTACTS, readings
 from slippulse_jax.front.lanes import STIFFEST as STIFFEST_RUN_BACK
 from slippulse_jax.front.lanes import jet_kernel
 from slippulse_jax.inference.choices import Body, MeasuredEvent
-from slippulse_jax.inference.family import FLAGS, SEARCHED, Families, geometry_of
-from slippulse_jax.inference.inputs import COMMON, Input, Inputs
-from slippulse_jax.inference.interpolation import Grid
-from slippulse_jax.inference.measurements import Measurements
+from slippulse_jax.inference.model.family import FLAGS, SEARCHED, Families, geometry_of
+from slippulse_jax.inference.model.inputs import COMMON, Input, Inputs
+from slippulse_jax.inference.model.interpolation import Grid
+from slippulse_jax.inference.table.measurements import Measurements
 from slippulse_jax.interface import Interface
 from slippulse_jax.lengths import arrests, length_rank
 from slippulse_jax.lengths import lengths as bulk_lengths

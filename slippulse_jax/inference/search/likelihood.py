@@ -2,7 +2,7 @@
 
 `log_density(theta, problem)` is traced by JAX: −ln p of each datum given its prediction (`length_cost`, `count_cost`,
 `at_least_cost`), summed with the Gaussian priors. A fit evaluates it for thousands of θ at once by calling the `Problem`: the
-predictions and their derivatives come from the models of `slippulse_jax.inference.fronts`, value and derivatives of the
+predictions and their derivatives come from the models of `slippulse_jax.inference.model.fronts`, value and derivatives of the
 same cost functions from `jax.grad`, and the chain rule, θ being linear in the inputs, joins the two.
 
 Constants are left out such that a datum the model meets exactly costs nothing: twice the sum is χ² for plain lengths.
@@ -25,11 +25,11 @@ from scipy.special import chdtrc, digamma, erf
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.inference.choices import Loss
-from slippulse_jax.inference.columns import READINGS
-from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.measurements import Gauges, Measurements
-from slippulse_jax.inference.observables import OBSERVED, predicted
-from slippulse_jax.inference.parameters import Linear, ParameterSet
+from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.model.observables import OBSERVED, predicted
+from slippulse_jax.inference.model.parameters import Linear, ParameterSet
+from slippulse_jax.inference.table.columns import READINGS
+from slippulse_jax.inference.table.measurements import Gauges, Measurements
 from slippulse_jax.shown import TIED, listed, plural
 
 STUDENT_DOF = 4.0

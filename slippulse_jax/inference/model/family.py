@@ -24,8 +24,8 @@ from tqdm.auto import tqdm
 
 from slippulse_jax.blocks.size import FOLLOWED, MOST_HEIGHTS, extrapolated, followed, many, sites_at, suited, tall_lengths
 from slippulse_jax.bulk.chunks import distinct_rows, workers
-from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.interpolation import Grid
+from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.model.interpolation import Grid
 from slippulse_jax.interface import Interface
 from slippulse_jax.status import Outcome
 

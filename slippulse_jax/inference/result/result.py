@@ -10,17 +10,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slippulse_jax.files import write_atomically
-from slippulse_jax.inference import predicted, record, samples
-from slippulse_jax.inference import report as printer
-from slippulse_jax.inference.changes import find_changes, suggestions, total, total_interval, total_of_ratio
-from slippulse_jax.inference.columns import READINGS
-from slippulse_jax.inference.fronts import Regime
-from slippulse_jax.inference.intervals import LEVELS, Interval, Intervals, rise_of
-from slippulse_jax.inference.likelihood import Problem
-from slippulse_jax.inference.measurements import Measurements
-from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet
-from slippulse_jax.inference.search import Curve, Root, describe
-from slippulse_jax.inference.verdict import GIVEN, GRAVITY, Identifiability, Verdict, directions
+from slippulse_jax.inference.model.fronts import Regime
+from slippulse_jax.inference.model.parameters import STIFFNESSES, ParameterSet
+from slippulse_jax.inference.result import predicted, record, samples
+from slippulse_jax.inference.result import report as printer
+from slippulse_jax.inference.result.changes import find_changes, suggestions, total, total_interval, total_of_ratio
+from slippulse_jax.inference.result.verdict import GIVEN, GRAVITY, Identifiability, Verdict, directions
+from slippulse_jax.inference.search.intervals import LEVELS, Interval, Intervals, rise_of
+from slippulse_jax.inference.search.likelihood import Problem
+from slippulse_jax.inference.search.minima import Curve, Root, describe
+from slippulse_jax.inference.table.columns import READINGS
+from slippulse_jax.inference.table.measurements import Measurements
 
 
 class Further(NamedTuple):

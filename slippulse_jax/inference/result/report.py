@@ -12,15 +12,10 @@ import numpy as np
 from scipy.special import ndtr
 
 from slippulse_jax.block import USUAL_NORMAL_STIFFNESS
-from slippulse_jax.inference.changes import END, MANY, MOST_CONTACTS, NARROW_PUSHER, NORMAL, Change, of_inputs
-from slippulse_jax.inference.columns import COLUMNS, READINGS, UNITS_OF_LENGTH
-from slippulse_jax.inference.fronts import ENDED
-from slippulse_jax.inference.intervals import LEVELS, Interval
-from slippulse_jax.inference.likelihood import IMPROBABLE
-from slippulse_jax.inference.measurements import Measurements
-from slippulse_jax.inference.parameters import OF_MEASURING, STIFFNESSES, Free
-from slippulse_jax.inference.search import SLACK
-from slippulse_jax.inference.verdict import (
+from slippulse_jax.inference.model.fronts import ENDED
+from slippulse_jax.inference.model.parameters import OF_MEASURING, STIFFNESSES, Free
+from slippulse_jax.inference.result.changes import END, MANY, MOST_CONTACTS, NARROW_PUSHER, NORMAL, Change, of_inputs
+from slippulse_jax.inference.result.verdict import (
     GIVEN,
     GRAVITY,
     PLATEAU,
@@ -28,11 +23,16 @@ from slippulse_jax.inference.verdict import (
     Identifiability,
     whole_events,
 )
+from slippulse_jax.inference.search.intervals import LEVELS, Interval
+from slippulse_jax.inference.search.likelihood import IMPROBABLE
+from slippulse_jax.inference.search.minima import SLACK
+from slippulse_jax.inference.table.columns import COLUMNS, READINGS, UNITS_OF_LENGTH
+from slippulse_jax.inference.table.measurements import Measurements
 from slippulse_jax.shown import TIED, ends, format_number, html, interval, listed, plural, value_with_error
 from slippulse_jax.theory import length_ceiling, rebreaking_b
 
 if TYPE_CHECKING:
-    from slippulse_jax.inference.result import FitResult
+    from slippulse_jax.inference.result.result import FitResult
 
 WITHOUT_VALUE = {
     Identifiability.EQUAL: "any in the interval",

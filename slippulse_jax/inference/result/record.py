@@ -15,21 +15,21 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin
 import numpy as np
 
 from slippulse_jax.files import plain, read_whole, shortened
-from slippulse_jax.inference.changes import Change
-from slippulse_jax.inference.check import checked, suspicions
 from slippulse_jax.inference.choices import Loss
-from slippulse_jax.inference.columns import GAUGE_COLUMNS, NUMERIC
-from slippulse_jax.inference.fronts import Front
-from slippulse_jax.inference.likelihood import make_problem
-from slippulse_jax.inference.measurements import Gauges, Measurements
-from slippulse_jax.inference.parameters import Parameter, with_errors_of_measuring
+from slippulse_jax.inference.model.check import checked, suspicions
+from slippulse_jax.inference.model.fronts import Front
+from slippulse_jax.inference.model.parameters import Parameter, with_errors_of_measuring
+from slippulse_jax.inference.result.changes import Change
+from slippulse_jax.inference.search.likelihood import make_problem
+from slippulse_jax.inference.table.columns import GAUGE_COLUMNS, NUMERIC
+from slippulse_jax.inference.table.measurements import Gauges, Measurements
 from slippulse_jax.status import Outcome
 from slippulse_jax.theory import rebreaking_b
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from slippulse_jax.inference.result import FitResult
+    from slippulse_jax.inference.result.result import FitResult
 
 Record = TypeVar("Record")
 

@@ -24,9 +24,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri, fdtri
 
-from slippulse_jax.inference.likelihood import Problem
-from slippulse_jax.inference.minimise import minimise
-from slippulse_jax.inference.search import SLACK, Curve, Found, Grid, Root, first_edges
+from slippulse_jax.inference.search.likelihood import Problem
+from slippulse_jax.inference.search.minima import SLACK, Curve, Found, Grid, Root, first_edges
+from slippulse_jax.inference.search.minimise import minimise
 
 LEVELS = (0.6827, 0.95)
 """Confidence levels of intervals."""

@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.likelihood import EXPECTED, Problem, terms
-from slippulse_jax.inference.minimise import Convergence, Method, descend, minimise
-from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet
+from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.model.parameters import STIFFNESSES, ParameterSet
+from slippulse_jax.inference.search.likelihood import EXPECTED, Problem, terms
+from slippulse_jax.inference.search.minimise import Convergence, Method, descend, minimise
 
 SCANNED = 3
 """Largest number of fitted parameters whose range is scanned by a grid."""

@@ -14,9 +14,9 @@ import numpy as np
 
 from slippulse_jax.bulk.chunks import distinct_rows
 from slippulse_jax.inference.choices import Body, MeasuredEvent
-from slippulse_jax.inference.fronts import Front, front_of
-from slippulse_jax.inference.inputs import COMMON, Inputs
-from slippulse_jax.inference.measurements import Measurements
+from slippulse_jax.inference.model.fronts import Front, front_of
+from slippulse_jax.inference.model.inputs import COMMON, Inputs
+from slippulse_jax.inference.table.measurements import Measurements
 from slippulse_jax.keywords import did_you_mean
 
 SCALES = ("length", "displacement", "force", "slip", "stress", "position", "offset", "beyond")
@@ -276,7 +276,7 @@ def parameter_set(
 
     Everything that is neither fitted nor held is as stated with the measurements; "stiffness" stands for whichever stiffness
     they determine. `event` and `body` are as for `front_of`; or `front` is the model of a length, that of measurements much
-    like these. What a user asks for is checked before (`slippulse_jax.inference.check.checked`).
+    like these. What a user asks for is checked before (`slippulse_jax.inference.model.check.checked`).
     """
     wanted = tuple(Parameter(one) if isinstance(one, str) else one for one in wanted)
     front, chosen = front_of(m, event, body) if front is None else front, with_names(m, wanted)

@@ -1,7 +1,7 @@
 """Check a fit against its measurements before anything is computed.
 
 A request that has no meaning is an error. Numbers that may be in another unit, and columns that may be exchanged, are
-suspicions. A table checks its own rows (`slippulse_jax.inference.columns`), a model what it takes (`Front.check`).
+suspicions. A table checks its own rows (`slippulse_jax.inference.table.columns`), a model what it takes (`Front.check`).
 """
 
 import warnings
@@ -11,11 +11,9 @@ import numpy as np
 
 from slippulse_jax.domains import Domain
 from slippulse_jax.inference.choices import Body, MeasuredEvent
-from slippulse_jax.inference.columns import COLUMNS, IN_LC, NUMERIC, MeasurementError
-from slippulse_jax.inference.fronts import STIFFEST, Front, WholeEvent, front_for, front_of
-from slippulse_jax.inference.inputs import COMMON, Inputs
-from slippulse_jax.inference.measurements import Measurements, MeasurementWarning
-from slippulse_jax.inference.parameters import (
+from slippulse_jax.inference.model.fronts import STIFFEST, Front, WholeEvent, front_for, front_of
+from slippulse_jax.inference.model.inputs import COMMON, Inputs
+from slippulse_jax.inference.model.parameters import (
     HEIGHTS,
     NEEDS_SI,
     PARAMETERS,
@@ -31,6 +29,8 @@ from slippulse_jax.inference.parameters import (
     stiffness_name,
     with_names,
 )
+from slippulse_jax.inference.table.columns import COLUMNS, IN_LC, NUMERIC, MeasurementError
+from slippulse_jax.inference.table.measurements import Measurements, MeasurementWarning
 
 USUAL = 1.5
 """Factor within which a prior must agree with the table, in another unit, for that unit to be suggested."""

@@ -1,6 +1,6 @@
 """Measurements of first precursors, and readings of gauges along the interface.
 
-`slippulse_jax.inference.columns` describes their columns, `slippulse_jax.inference.tables` reads the text of both.
+`slippulse_jax.inference.table.columns` describes their columns, `slippulse_jax.inference.table.tables` reads the text of both.
 """
 
 import dataclasses
@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from slippulse_jax.domains import CORRELATION_LENGTH
-from slippulse_jax.inference import tables
-from slippulse_jax.inference.columns import (
+from slippulse_jax.inference.table import tables
+from slippulse_jax.inference.table.columns import (
     COLUMNS,
     GAUGE_COLUMNS,
     IN_LC,

@@ -13,7 +13,7 @@ from scipy.special import expit, logit
 
 from slippulse_jax.domains import check_choice
 from slippulse_jax.inference.choices import Method
-from slippulse_jax.inference.likelihood import Evaluation, Problem
+from slippulse_jax.inference.search.likelihood import Evaluation, Problem
 from slippulse_jax.status import Status
 
 TOLERANCE = 1e-12

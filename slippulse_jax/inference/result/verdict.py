@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import chdtrc
 
-from slippulse_jax.inference.intervals import LEVELS, Interval, Intervals, rise_of
-from slippulse_jax.inference.likelihood import IMPROBABLE, Problem
-from slippulse_jax.inference.measurements import Measurements
-from slippulse_jax.inference.parameters import STIFFNESSES, Free, ParameterSet
-from slippulse_jax.inference.search import SLACK, Curve, Found
+from slippulse_jax.inference.model.parameters import STIFFNESSES, Free, ParameterSet
+from slippulse_jax.inference.search.intervals import LEVELS, Interval, Intervals, rise_of
+from slippulse_jax.inference.search.likelihood import IMPROBABLE, Problem
+from slippulse_jax.inference.search.minima import SLACK, Curve, Found
+from slippulse_jax.inference.table.measurements import Measurements
 from slippulse_jax.shown import format_number
 
 SCATTERED = 0.05

@@ -14,20 +14,20 @@ import numpy as np
 from scipy.special import chdtrc
 
 from slippulse_jax.block import USUAL_NORMAL_STIFFNESS
-from slippulse_jax.inference.columns import COLUMNS, IN_LC
-from slippulse_jax.inference.fronts import BlockEvent
-from slippulse_jax.inference.intervals import LEVELS, Interval
-from slippulse_jax.inference.likelihood import IMPROBABLE, Problem, make_problem
-from slippulse_jax.inference.measurements import Measurements
-from slippulse_jax.inference.minimise import minimise
-from slippulse_jax.inference.parameters import HEIGHTS, MODEL_ERROR, STIFFNESSES, Parameter, ParameterSet, parameter_set
-from slippulse_jax.inference.search import between_contacts, ordered, search
-from slippulse_jax.inference.verdict import SCATTERED, Identifiability
+from slippulse_jax.inference.model.fronts import BlockEvent
+from slippulse_jax.inference.model.parameters import HEIGHTS, MODEL_ERROR, STIFFNESSES, Parameter, ParameterSet, parameter_set
+from slippulse_jax.inference.result.verdict import SCATTERED, Identifiability
+from slippulse_jax.inference.search.intervals import LEVELS, Interval
+from slippulse_jax.inference.search.likelihood import IMPROBABLE, Problem, make_problem
+from slippulse_jax.inference.search.minima import between_contacts, ordered, search
+from slippulse_jax.inference.search.minimise import minimise
+from slippulse_jax.inference.table.columns import COLUMNS, IN_LC
+from slippulse_jax.inference.table.measurements import Measurements
 from slippulse_jax.shown import format_number, plural
 from slippulse_jax.status import NotConverged
 
 if TYPE_CHECKING:
-    from slippulse_jax.inference.result import FitResult
+    from slippulse_jax.inference.result.result import FitResult
 
 USUAL = ("height", "length", "young", "poisson", "correlation_length", "push_height", "friction")
 """Columns with a usual error, in the order in which a paper states them."""

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Array
 
 from slippulse_jax.bodies.modes import lattice_modes
-from slippulse_jax.inference.fronts import Along, Front, Prediction, by_jax, ends_of, sliders
-from slippulse_jax.inference.inputs import Input, Inputs
+from slippulse_jax.inference.model.fronts import Along, Front, Prediction, by_jax, ends_of, sliders
+from slippulse_jax.inference.model.inputs import Input, Inputs
 
 OF_GAUGES = {
     "log_position": Input("x/λc", -np.inf, np.inf, ""),  # ln of a gauge's distance from the pushed edge

@@ -1,8 +1,8 @@
 """Samples of the fitted parameters: refits, or draws from the posterior.
 
 All refits of a bootstrap are one batch. The posterior is sampled by the No-U-Turn sampler, which needs the extra ``bayes``
-(numpyro and ArviZ). Its density is that of the fit (`slippulse_jax.inference.likelihood.log_density`); a parameter without a
-prior is flat over the range searched, a positive one in its logarithm.
+(numpyro and ArviZ). Its density is that of the fit (`slippulse_jax.inference.search.likelihood.log_density`); a parameter
+without a prior is flat over the range searched, a positive one in its logarithm.
 """
 
 import dataclasses
@@ -19,15 +19,15 @@ from scipy.special import expit, logit
 
 from slippulse_jax.domains import check_choice
 from slippulse_jax.files import plain
-from slippulse_jax.inference.intervals import LEVELS
-from slippulse_jax.inference.likelihood import STUDENT_DOF, Problem
-from slippulse_jax.inference.minimise import Convergence, minimise
-from slippulse_jax.inference.parameters import Free
+from slippulse_jax.inference.model.parameters import Free
+from slippulse_jax.inference.search.intervals import LEVELS
+from slippulse_jax.inference.search.likelihood import STUDENT_DOF, Problem
+from slippulse_jax.inference.search.minimise import Convergence, minimise
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from slippulse_jax.inference.result import FitResult
+    from slippulse_jax.inference.result.result import FitResult
 
 Bootstrap = Literal["parametric", "case"]
 """Kinds of a bootstrap."""

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
-from slippulse_jax.inference.inputs import Inputs
-from slippulse_jax.inference.intervals import LEVELS
-from slippulse_jax.inference.observables import predicted as of_observable
-from slippulse_jax.inference.parameters import Linear
+from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.model.observables import predicted as of_observable
+from slippulse_jax.inference.model.parameters import Linear
+from slippulse_jax.inference.search.intervals import LEVELS
 
 if TYPE_CHECKING:
-    from slippulse_jax.inference.result import FitResult
+    from slippulse_jax.inference.result.result import FitResult
 
 Along = Literal["height", "push_height"]
 INPUTS: dict[Along, str] = {"height": "log_height", "push_height": "log_push"}
