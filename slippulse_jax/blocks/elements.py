@@ -130,7 +130,8 @@ def _in_a_row(count: int, readings: int) -> Float[np.ndarray, "count s r"]:
 
 def springs(block: Block, finer: int = 0) -> tuple[Springs, Springs]:
     """Springs of the interface beneath contact 0, and beneath any other."""
-    return tuple(_springs(block, width) for width in widths(finer))
+    corner, other = widths(finer)
+    return _springs(block, corner), _springs(block, other)
 
 
 def _springs(block: Block, width: Float[np.ndarray, " m"]) -> Springs:

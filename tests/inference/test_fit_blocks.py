@@ -134,6 +134,19 @@ def test_a_measured_block_is_followed_the_same_whatever_was_followed_before():
 
 
 @pytest.mark.ci
+def test_tried_blocks_take_fewer_events_for_the_same_lengths():
+    """Within the steps of a length, up to where it falls: for what another block would make of a fit."""
+    b = np.exp(np.linspace(-1.5, 3.5, 40))
+    found, events = [], []
+    for tried in (False, True):
+        followed = Families(tried=tried).add(geometry_of(inputs_of([100.0], 1.0, 0.3)), np.array([0.8]))
+        found.append(followed(inputs_of([100.0], b, 0.3))[0] / 100)
+        events.append(len(followed.events.known))
+    np.testing.assert_allclose(found[1], found[0], rtol=0.01)
+    assert events[1] < 0.8 * events[0]
+
+
+@pytest.mark.ci
 def test_blocks_far_from_measured_ones_have_no_other_kind_of_length():
     """Pushed half as high again, up to b where events stop early: within those of every such block, and where it stops early."""
     measured = inputs_of([200.0], 1.0, 0.3)
