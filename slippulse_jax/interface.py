@@ -30,7 +30,7 @@ def check_bulk(interface: "Interface | None") -> None:
         )
 
 
-def check_no_delay(interface: "Interface | Profile | None", why: str) -> None:
+def check_no_delay(interface: "AnyInterface", why: str) -> None:
     """Refuse an interface that repins after a delay, with the reason or what to do instead."""
     if interface is not None and interface.repin_delay:
         raise ValueError(f"interface.repin_delay = {interface.repin_delay}: {why}")
@@ -187,3 +187,7 @@ class Profile(eqx.Module):
     def last_site(self) -> Array:
         """None (inf): the last values hold for all sites beyond."""
         return jnp.asarray(jnp.inf)
+
+
+AnyInterface = Interface | Profile | None
+"""Thresholds and prestress of the contacts; None for the paper's own, relaxed and uniform."""

@@ -38,8 +38,8 @@ from slippulse_jax.front.arrest import (
     quantity,
     report_without_length,
 )
-from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, AnyInterface, EventKind, check_event
-from slippulse_jax.interface import Interface, Profile, check_no_delay
+from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, EventKind, check_event
+from slippulse_jax.interface import AnyInterface, Interface, Profile, check_no_delay
 from slippulse_jax.lengths import whole_lengths
 from slippulse_jax.rules import HARD, BreakRule, HardBreak, check_rule
 from slippulse_jax.shown import html, in_a_line, short
@@ -226,7 +226,7 @@ def precursor_length(
     return length
 
 
-def _whole(slider: Slider, interface: Interface | Profile | None, rule: BreakRule, ends: Ends, max_contacts: int) -> Array:
+def _whole(slider: Slider, interface: AnyInterface, rule: BreakRule, ends: Ends, max_contacts: int) -> Array:
     """Lengths of whole events."""
     if isinstance(interface, Profile):
         raise ValueError("event = 'full': not on a Profile; take rupture of a chain on it")

@@ -28,7 +28,7 @@ from slippulse_jax.bulk.double import in_double
 from slippulse_jax.domains import FRICTION, MACHINE, NORMAL_STIFFNESS
 from slippulse_jax.events.first import Relaxed, ended, first_event, nucleated
 from slippulse_jax.front.front import EventKind, in_domain
-from slippulse_jax.interface import Interface, Profile
+from slippulse_jax.interface import AnyInterface, Profile
 from slippulse_jax.shown import in_a_line
 from slippulse_jax.status import Outcome
 
@@ -86,9 +86,7 @@ def guide_of(block: Block, finer: int = 0, bare: tuple[Edge, Slab] | None = None
     return waveguide.guide(edge, slab, elements.springs(block, finer), elements.along(block, finer), length)
 
 
-def contacts_of(
-    block: Block, interface: Interface | Profile | None, sites: int, bare: tuple[Edge, Slab] | None = None
-) -> Relaxed:
+def contacts_of(block: Block, interface: AnyInterface, sites: int, bare: tuple[Edge, Slab] | None = None) -> Relaxed:
     """The first contacts of a block, and their response."""
     last = sites - 1 if block.length is None else jnp.asarray(block.length) - 1
     guide, k, body = guide_of(block, bare=bare), jnp.asarray(block.stiffness), None
@@ -113,7 +111,7 @@ def contacts_of(
 
 @partial(jax.jit, static_argnames=("sites", "kind"))
 def precursor_of(
-    block: Block, interface: Interface | Profile | None, sites: int, kind: EventKind, bare: tuple[Edge, Slab] | None = None
+    block: Block, interface: AnyInterface, sites: int, kind: EventKind, bare: tuple[Edge, Slab] | None = None
 ) -> BlockPrecursor:
     """Compute the event of one block on its first `sites` contacts; `bare` as for `guide_of`."""
     body = contacts_of(block, interface, sites, bare)
@@ -189,7 +187,7 @@ def _fields(block: Block, load: Array, pinning: Float[Array, " N"], guide: Guide
 @in_double
 @partial(jax.jit, static_argnames=("sites", "kind"))
 def stages(
-    block: Block, interface: Interface | Profile | None, sites: int, breaks: Int[Array, " n"], kind: EventKind
+    block: Block, interface: AnyInterface, sites: int, breaks: Int[Array, " n"], kind: EventKind
 ) -> tuple[Float[Array, "n N"], Float[Array, "n N"], Float[Array, "n N cells"]]:
     """Stresses after so many breaks of the first precursor, 0 for none; in σ_s.
 

@@ -21,7 +21,7 @@ from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.bodies.modes import RightEnd
 from slippulse_jax.domains import check_choice, check_domain, check_kind, check_single, check_whole
-from slippulse_jax.interface import Interface, Profile, check_no_delay
+from slippulse_jax.interface import AnyInterface, Interface, Profile, check_no_delay
 from slippulse_jax.slider import Slider
 from slippulse_jax.units import as_float, at_least_single, quantity_field
 
@@ -177,7 +177,7 @@ def check_linear(chain: Chain, owner: str) -> None:
         raise ValueError(f"{owner} needs linear contacts: this chain has a force law")
 
 
-def _of_interface(interface: Interface | Profile | None, sites: int) -> tuple[AnyArrayLike, AnyArrayLike]:
+def _of_interface(interface: AnyInterface, sites: int) -> tuple[AnyArrayLike, AnyArrayLike]:
     """Thresholds and prestress of the first sites of an interface."""
     if interface is None:
         return 1.0, 0.0

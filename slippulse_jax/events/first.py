@@ -19,7 +19,7 @@ from slippulse_jax.bodies.response import Response, of_chain
 from slippulse_jax.derivatives import by_forward_mode, with_gradient, with_jacobian
 from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, Event, event, overload, rises
 from slippulse_jax.front.front import FADED, EventKind, Front, first_of, follow, length_or_reason
-from slippulse_jax.interface import Interface, Profile
+from slippulse_jax.interface import AnyInterface
 from slippulse_jax.rules import HARD, BreakRule, HardBreak
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
@@ -64,9 +64,7 @@ def contacts_of_chain(body: Chain, response: Response, driver: int = 0) -> Relax
     )
 
 
-def contacts_of_slider(
-    slider: Slider, interface: Interface | Profile | None, sites: int, right: RightEnd = "semi-infinite"
-) -> Relaxed:
+def contacts_of_slider(slider: Slider, interface: AnyInterface, sites: int, right: RightEnd = "semi-infinite") -> Relaxed:
     """The first contacts of a slider, or all of one that ends."""
     whole = chain(slider, sites=sites, interface=interface, right=right)
     return contacts_of_chain(whole, of_chain(whole, eliminate(whole, whole.contact)))
@@ -236,9 +234,7 @@ def smooth_length(contacts: Relaxed, rule: BreakRule) -> Float[Array, ""]:
 
 
 @partial(jax.jit, static_argnames=("sites", "kind"))
-def length(
-    body: Any, interface: Interface | Profile | None, rule: BreakRule = HARD, *, sites: int, kind: EventKind
-) -> Float[Array, ""]:
+def length(body: Any, interface: AnyInterface, rule: BreakRule = HARD, *, sites: int, kind: EventKind) -> Float[Array, ""]:
     """ℓ of a body that has ``contacts``; under the hard rule with derivatives at a fixed order of breaks."""
     given, tree = jax.tree.flatten((body, interface, rule))
     types = [x.dtype for x in given]

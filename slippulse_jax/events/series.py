@@ -36,7 +36,7 @@ from slippulse_jax.events.ageing import Ageing, next_crossing
 from slippulse_jax.events.catalogue import COLUMNS, Catalogue, EventClass
 from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, event, most, overload, rises
 from slippulse_jax.events.first import Relaxed, contacts_of_chain
-from slippulse_jax.interface import Interface, Profile, check_no_delay
+from slippulse_jax.interface import AnyInterface, Interface, Profile, check_no_delay
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
@@ -179,7 +179,7 @@ def series(
         return run_series(shape, body, interface, loading)
 
 
-def _sites_of_block(block: Block, interface: Interface | Profile | None, sites: int | None, protocol: Protocol) -> int:
+def _sites_of_block(block: Block, interface: AnyInterface, sites: int | None, protocol: Protocol) -> int:
     """Number of contacts resolved of a block."""
     if block.push.control != "displacement":
         raise ValueError("push.control = 'force': the pusher of a series is displaced; pull it through a soft Spring instead")
@@ -201,7 +201,7 @@ def _check_friction(block: Block, protocol: Protocol, ageing: Ageing | None, rep
         raise ValueError(f"protocol = {protocol!r}: contacts whose stiffness follows the pressure take Adiabatic() only")
 
 
-def _series(shape: Shape, body: Any, interface: Interface | Profile | None, loading: Loading) -> Catalogue:
+def _series(shape: Shape, body: Any, interface: AnyInterface, loading: Loading) -> Catalogue:
     if not isinstance(body, Chain):
         return lane_by_lane(partial(_resolved, shape), body, interface, loading)
     chain = driven(body, loading.protocol.stiffness) if isinstance(loading.protocol, Spring) else body
@@ -220,7 +220,7 @@ def _of_chain(shape: Shape, chain: Chain, resp: Response, floating: Array, loadi
     return _catalogue(relaxed, end, state, solved.stress, stored)
 
 
-def _resolved(shape: Shape, body: Any, interface: Interface | Profile | None, loading: Loading) -> Catalogue:
+def _resolved(shape: Shape, body: Any, interface: AnyInterface, loading: Loading) -> Catalogue:
     sites = shape[-1]
     # of a block, which says itself where it ends, a power of two, so that similar ones share a program
     return of_matrix_body(

@@ -15,8 +15,8 @@ from slippulse_jax.bodies.modes import ENDLESS, Ends, lattice_modes
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.domains import check_whole
 from slippulse_jax.front import delayed, front
-from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, AnyInterface, Arrest
-from slippulse_jax.interface import Profile, check_no_delay
+from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, Arrest
+from slippulse_jax.interface import AnyInterface, Profile, check_no_delay
 from slippulse_jax.rules import HARD, BreakRule, HardBreak
 from slippulse_jax.slider import Slider, of_one_type
 from slippulse_jax.status import NotConverged, Outcome

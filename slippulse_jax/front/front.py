@@ -55,7 +55,7 @@ from slippulse_jax.bodies.modes import ENDLESS, Ends, Modes, equilibrium_fields,
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.choices import EventKind
 from slippulse_jax.domains import HEIGHT, POISSON, STIFFNESS, check_choice
-from slippulse_jax.interface import Interface, Profile
+from slippulse_jax.interface import AnyInterface, Interface, Profile
 from slippulse_jax.rules import HARD, BreakRule, HardBreak
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
@@ -80,8 +80,6 @@ NEWTON_STEPS = 4
 """Steps from the straight line to the end of the curve: four reach rounding, on contacts stiffer than any block more."""
 
 AnyArray = Array | np.ndarray
-AnyInterface = Interface | Profile | None
-"""Thresholds and prestress of the contacts; None for the paper's own, relaxed and uniform."""
 
 
 def check_event(event: str) -> None:
@@ -169,7 +167,7 @@ def taken_back(
 # --- where a front ends ------------------------------------------------------------------------------------------------
 
 
-def degree_of(contacts: "AnyInterface") -> int:
+def degree_of(contacts: AnyInterface) -> int:
     """Degree of the curve on which ℓ ends: a straight line where neighbours differ, or repin after a delay.
 
     Elsewhere the overload is an analytic function of the position, and the curve all but coincides with it.

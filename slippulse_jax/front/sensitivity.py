@@ -10,8 +10,8 @@ from jaxtyping import Array, Float
 
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.domains import check_kind, check_single, check_whole
-from slippulse_jax.front.front import AnyInterface, contact_at, sweep, swept_length
-from slippulse_jax.interface import Interface, Profile, check_no_delay
+from slippulse_jax.front.front import contact_at, sweep, swept_length
+from slippulse_jax.interface import AnyInterface, Interface, Profile, check_no_delay
 from slippulse_jax.rules import BreakRule, HardBreak, check_rule
 from slippulse_jax.slider import Slider
 
