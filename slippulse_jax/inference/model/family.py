@@ -269,26 +269,28 @@ class Families:
         rows, own = distinct_rows(table)
         geometry, log_b, inverse = rows[:, : len(GEOMETRY)], rows[:, -2], rows[:, -1]
         origin = self._nearest(geometry)
-        found = np.empty((2, len(rows)))
-        for lanes, lengths in ((origin < 0, self._unlike), (origin >= 0, self._like)):
-            if lanes.any():
-                found[:, lanes] = lengths(geometry[lanes], log_b[lanes], inverse[lanes])
+        found, unlike = np.empty((2, len(rows))), origin < 0
+        if unlike.any():
+            found[:, unlike] = self._unlike(geometry[unlike], log_b[unlike], inverse[unlike])
+        if not unlike.all():
+            found[:, ~unlike] = self._like(origin[~unlike], geometry[~unlike], log_b[~unlike], inverse[~unlike])
         length, error = found / inverse
         return length[own], error[own]
 
     def _nearest(self, geometry: Float[np.ndarray, "n g"]) -> Int[np.ndarray, " n"]:
         """Number of the measured block that each is most like; −1 without."""
         best, least = np.full(len(geometry), -1), np.full(len(geometry), np.inf)
-        for i, family in enumerate(self.measured):
-            apart = np.abs(_offsets(geometry, np.array(family.geometry))).sum(axis=1)
-            same = (_kinds(geometry) == _kinds(np.array([family.geometry]))).all(axis=1)
+        kinds, own = _kinds(geometry), np.array([family.geometry for family in self.measured]).reshape(-1, len(GEOMETRY))
+        for i, kind in enumerate(_kinds(own)):
+            apart, same = np.abs(_offsets(geometry, own[i])).sum(axis=1), (kinds == kind).all(axis=1)
             nearer = same & (apart < least)
             best[nearer], least[nearer] = i, apart[nearer]
         return best
 
-    def _like(self, geometry: Float[np.ndarray, "n g"], log_b: np.ndarray, inverse: np.ndarray) -> Float[np.ndarray, "2 n"]:
+    def _like(
+        self, origin: Int[np.ndarray, " n"], geometry: Float[np.ndarray, "n g"], log_b: np.ndarray, inverse: np.ndarray
+    ) -> Float[np.ndarray, "2 n"]:
         """ℓ/H of blocks like measured ones, and its error."""
-        origin = self._nearest(geometry)
         offset = _offsets(geometry, np.array([family.geometry for family in self.measured])[origin])
         moved = np.abs(offset) > 1e-9
         left = PARTS * np.floor(offset[:, FRICTION] + 1e-9).astype(int)
@@ -426,7 +428,7 @@ class Families:
             usual = np.where(np.isfinite(ratio) & (ratio > 0), ratio, 1.0)
             alike = Families(self.events).add(rows[often], usual, height[often])
             lanes = ~once
-            found[:, lanes] = alike._like(geometry[lanes], log_b[lanes], inverse[lanes])
+            found[:, lanes] = alike._like(alike._nearest(geometry[lanes]), geometry[lanes], log_b[lanes], inverse[lanes])
         return found
 
 
