@@ -199,7 +199,7 @@ def test_derivatives_with_friction(law):
     with jax.enable_x64(True):
         at = jnp.array([20.0, 0.02, 0.3, 0.3, 1.2, 0.2])
         assert 2 < float(length(at)) < 40
-        steps = np.diag(5e-4 * np.asarray(at))
+        steps = np.diag(2e-3 * np.asarray(at))  # rounding leaves 1e-10 of a length
         near, far = ([float(length(at + n * d) - length(at - n * d)) for d in steps] for n in (1, 2))
         around = (8 * np.array(near) - far) / (12 * steps.sum(axis=1))
         np.testing.assert_allclose(jax.jit(jax.grad(length))(at), around, rtol=1e-6, atol=1e-6)
