@@ -16,6 +16,7 @@ from slippulse_jax.choices import ContactLaw, Control, RightEnd, Top
 from slippulse_jax.files import FIGURE_FORMATS, plain, shortened
 
 if TYPE_CHECKING:
+    import numpy as np
     from matplotlib.figure import Figure
 
 FAILURE, BAD_INPUT, NOT_CONVERGED, INCOMPLETE, INTERRUPTED = 1, 2, 3, 4, 130
@@ -31,13 +32,57 @@ def choice(name: str, of: Any, text: str, **options: Any) -> Callable[[Callable[
 
 right_end = choice("--right", RightEnd, "Right end of the chain.", default="semi-infinite", show_default=True)
 push_control = choice("--push-control", Control, "What is held while an event runs; the displacement by default.")
-contact_law = choice(
-    "--contact-law",
-    ContactLaw,
-    "What follows the pressure with --friction: thresholds, or thresholds and stiffnesses.",
-    default="amontons",
-)
-top_of_block = choice("--top", Top, "Whether the top of a block may tilt.", default="free")
+
+
+class Values(click.ParamType):
+    """A number, a list ``a,b,c``, or a range ``first:last:count[:log]``."""
+
+    name = "values"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> "np.ndarray":
+        """Array of shape () or (n,)."""
+        import numpy as np
+
+        parts = str(value).split(":")
+        try:
+            if len(parts) == 1:
+                numbers = [float(x) for x in parts[0].split(",")]
+                return np.array(numbers[0] if len(numbers) == 1 else numbers)
+            first, last, count = float(parts[0]), float(parts[1]), int(parts[2])
+            if count > MOST_VALUES:
+                self.fail(f"{value!r}: more than {MOST_VALUES} values", param, ctx)
+            if parts[3:] == ["log"] and min(first, last) <= 0:
+                self.fail(f"{value!r}: even steps of the logarithm need both ends above 0", param, ctx)
+            if count < 1 or parts[3:] not in ([], ["log"]):
+                raise ValueError
+        except (ValueError, IndexError):
+            self.fail(f"{value!r} is not a number, a list a,b,c or a range first:last:count[:log]", param, ctx)
+        return np.geomspace(first, last, count) if parts[3:] else np.linspace(first, last, count)
+
+
+MOST_VALUES = 10_000_000
+"""Values of one range."""
+VALUES = Values()
+
+
+def contacts_of_block(kind: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Options of a block and its contacts; numbers of a `kind`."""
+    law = "What follows the pressure with --friction: thresholds, or thresholds and stiffnesses."
+    options = (
+        click.option(
+            "--friction", type=kind, metavar="μ", help="Friction coefficient of a block, whose thresholds follow the pressure."
+        ),
+        click.option("--normal-stiffness", type=kind, metavar="k_n/k", help="Of a block; 1.2 by default with --friction."),
+        choice("--contact-law", ContactLaw, law, default="amontons"),
+        choice("--top", Top, "Whether the top of a block may tilt.", default="free"),
+    )
+
+    def add(command: Callable[..., Any]) -> Callable[..., Any]:
+        for one in reversed(options):
+            command = one(command)
+        return command
+
+    return add
 
 
 def slider_options(*, required: bool) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -82,12 +127,6 @@ def one_form(
     return {name.removesuffix(end): given[name] * sizes.get(end, 1.0) for name, end in ends.items()}
 
 
-class BadInput(click.ClickException):
-    """Invalid input; exit status 2."""
-
-    exit_code = BAD_INPUT
-
-
 last_words: list[str] = []
 """Lines printed when the command is interrupted; a command adds its own."""
 
@@ -119,11 +158,12 @@ def prints_unicode() -> bool:
     return (getattr(sys.stdout, "encoding", None) or "utf-8").lower().startswith("utf")
 
 
-def refuse(error: Exception) -> NoReturn:
-    """Exit with status 2 and the message of a bad input."""
-    if isinstance(error, OSError) and error.filename is not None:
-        raise BadInput(f"{error.filename}: {error.strerror}") from None
-    raise BadInput(shortened(str(error))) from None
+def refuse(error: Exception | str, status: int = BAD_INPUT) -> NoReturn:
+    """Exit with a message and a status, by default that of bad input."""
+    named = isinstance(error, OSError) and error.filename is not None
+    refused = click.ClickException(f"{error.filename}: {error.strerror}" if named else shortened(str(error)))
+    refused.exit_code = status
+    raise refused from None
 
 
 def output_path(*formats: str) -> Callable[[click.Context, click.Parameter, str | None], Path | None]:

@@ -171,7 +171,7 @@ def fit(
     simulated: dict[int, tuple[Intervals, tuple[float, float]]] = {}
     if counts is None and not scaled and to_be_simulated(problem, intervals, found, profiled):
         with _progress(problem) as shown:
-            simulated = calibrated(shown, LEVELS, curves=found.curves, seed=seed)
+            simulated = {j: calibrated(shown, j, curve, seed) for j, curve in found.curves.items()}
     longest, longest_at = problem.parameters.attainable(found.theta)
     # counts at odds are named; the search of such a misfit need not converge
     unconverged = [] if counts else [start for start in found.unconverged if start[0] <= limits[LEVELS[-1]]]

@@ -69,10 +69,10 @@ def test_observables_at_nucleation_and_gauges():
     height, sites = 16.0, 64
     inputs = Inputs.of(np.full(4, height), TRUTH, 0.3).given(log_sites=np.full(4, np.log(sites)))
     load, _ = dense_chain.responses(height, TRUTH, 0.3, sites, "free", sites)
-    assert predicted("displacement", FirstFront(), inputs).value[0] == pytest.approx(1 / load[0], rel=1e-9)
-    assert predicted("force", FirstFront(), inputs).value[0] == pytest.approx(load.sum() / load[0], rel=1e-9)
+    assert predicted("displacement", FirstFront(), inputs)[0, 0] == pytest.approx(1 / load[0], rel=1e-9)
+    assert predicted("force", FirstFront(), inputs)[0, 0] == pytest.approx(load.sum() / load[0], rel=1e-9)
     pushed = inputs.given(log_machine=np.full(4, np.log(MACHINE)))
-    assert predicted("displacement", FirstFront(), pushed).value[0] == pytest.approx(1 / load[0], rel=1e-9), (
+    assert predicted("displacement", FirstFront(), pushed)[0, 0] == pytest.approx(1 / load[0], rel=1e-9), (
         "of the edge, not of the machine"
     )
     chain = dense_chain.DenseChain.uniform((height, TRUTH, 0.3), np.ones(sites), 0.0, "free", spring=MACHINE)
@@ -83,8 +83,8 @@ def test_observables_at_nucleation_and_gauges():
     count = float(np.count_nonzero(chain.pinning))
     read = pushed.given(log_position=np.log(np.maximum(place, 1e-9)), beyond=np.zeros(4), counted=np.full(4, count))
     at = place.astype(int)
-    np.testing.assert_allclose(predicted("slip", FirstFront(), read).value, (chain.fields()[1] - before)[at], atol=1e-7)
-    np.testing.assert_allclose(predicted("stress", FirstFront(), read).value, chain.stress()[at], atol=1e-7)
+    np.testing.assert_allclose(predicted("slip", FirstFront(), read)[0], (chain.fields()[1] - before)[at], atol=1e-7)
+    np.testing.assert_allclose(predicted("stress", FirstFront(), read)[0], chain.stress()[at], atol=1e-7)
 
 
 @pytest.mark.ci
@@ -241,4 +241,4 @@ def test_what_never_stops_alone_does_not_stop_under_ends_either():
     assert np.isfinite(found).sum() > 10
     np.testing.assert_array_equal(np.concatenate([front.lengths(ended.take([i])) for i in range(60)]), found)
     along = np.eye(len(ended.names))[np.ones(60, int)]
-    np.testing.assert_allclose(front.evaluate(ended, along).value, found, rtol=1e-9)
+    np.testing.assert_allclose(front.evaluate(ended, along)[0], found, rtol=1e-9)

@@ -68,17 +68,8 @@ NEARBY = np.linspace(-0.15, 0.15, 13)
 """Changes of ln k/K over which the error of interpolated lengths is averaged, which step at single contacts."""
 
 
-class Prediction(NamedTuple):
-    """Values for L lanes, and two derivatives along a line of inputs.
-
-    Derivatives are 0 where a value is not finite.
-    """
-
-    value: Float[np.ndarray, " L"]
-    slope: Float[np.ndarray, " L"] | None = None
-    bend: Float[np.ndarray, " L"] | None = None
-
-
+Predicted = Float[np.ndarray, "order L"]
+"""Values for L lanes, (1, L); or with two derivatives along a line of inputs, (3, L), 0 where a value is not finite."""
 Along = Float[np.ndarray, "L inputs"] | None
 """Direction of each lane's line, in as many inputs as there are; None for values alone."""
 
@@ -141,15 +132,15 @@ class Front:
 
     def lengths(self, inputs: Inputs) -> Float[np.ndarray, " L"]:
         """Lengths of many lanes, in λc; NotConverged names inputs without one."""
-        return self.evaluate(inputs).value
+        return self.evaluate(inputs)[0]
 
-    def evaluate(self, inputs: Inputs, along: Along = None) -> Prediction:
+    def evaluate(self, inputs: Inputs, along: Along = None) -> Predicted:
         """Lengths of many lanes, and their derivatives along a line."""
         if type(self).values is Front.values:
             return by_jax(type(self).length, self, inputs, along)
-        return Prediction(self.values(inputs)) if along is None else self._by_differences(inputs, along)
+        return self.values(inputs)[None] if along is None else self._by_differences(inputs, along)
 
-    def _by_differences(self, inputs: Inputs, along: np.ndarray) -> Prediction:
+    def _by_differences(self, inputs: Inputs, along: np.ndarray) -> Predicted:
         """Values of a table, and their central differences along a line."""
         table, every = inputs.table(), {**COMMON, **self.inputs}
         steps = np.array([every[name].step for name in inputs.names])
@@ -167,13 +158,13 @@ class Front:
             slope = (up - down) / (np.maximum(sum(there), 1) * reach)
             bend = (up - 2 * value + down) / reach**2 * (there[0] & there[1])
         stops = np.isfinite(value) & moves
-        return Prediction(value, np.where(stops, slope, 0), np.where(stops, bend, 0))
+        return np.stack([value, np.where(stops, slope, 0), np.where(stops, bend, 0)])
 
     def _from_table(self, inputs: Inputs) -> Array:
         """Length from a table as a JAX function, with first derivatives."""
         names = inputs.names
 
-        def called(of: Callable[..., np.ndarray | None], *lanes: Array) -> Array:
+        def called(of: Callable[..., np.ndarray], *lanes: Array) -> Array:
             dtype = lanes[0].dtype
             words = (dtype.itemsize // 4,)[: dtype.itemsize > 4]  # in a thread of XLA's, JAX would round what is double
 
@@ -196,7 +187,7 @@ class Front:
             return length(*primals), slope(*primals, *tangents)
 
         slope = without_derivative(
-            lambda lane, along: called(lambda at, way: self.evaluate(at, way).slope, lane, along),
+            lambda lane, along: called(lambda at, way: self.evaluate(at, way)[1], lane, along),
             "the length of a whole event comes from a table, which has first derivatives only",
         )
 
@@ -293,7 +284,7 @@ class FirstFront(Front):
         slider, ends = sliders(inputs, jnp.exp), ends_of(inputs, jnp.exp)
         return jnp.asarray(arrest(slider, _interface(inputs, relaxed), ends).length)
 
-    def evaluate(self, inputs: Inputs, along: Along = None) -> Prediction:
+    def evaluate(self, inputs: Inputs, along: Along = None) -> Predicted:
         """ℓ by the loop over lanes.
 
         Of tall sliders and stiff contacts derivatives are differences.
@@ -304,17 +295,16 @@ class FirstFront(Front):
         rows, own = distinct_rows(inputs.table())
         return self._evaluate(inputs, along, self.reach(Inputs.from_table(inputs.names, rows))[own])
 
-    def _evaluate(self, inputs: Inputs, along: Along, reach: np.ndarray) -> Prediction:
+    def _evaluate(self, inputs: Inputs, along: Along, reach: np.ndarray) -> Predicted:
         never, loop = np.isinf(reach), (reach <= LONGEST) & (inputs.ratio <= STIFFEST_RUN_BACK)
         for some in (never, loop):
             if some.any() and not some.all():
                 sides = (some, ~some)
-                parts = [self._evaluate(inputs.take(x), None if along is None else along[x], reach[x]) for x in sides]
-                return Prediction(
-                    *(_joined(some, *x) for x in zip(*parts, strict=True) if x[0] is not None and x[1] is not None)
+                return _joined(
+                    some, *(self._evaluate(inputs.take(x), None if along is None else along[x], reach[x]) for x in sides)
                 )
         if never.any():
-            return Prediction(reach, *(np.zeros_like(reach) for _ in (1, 2) if along is not None))
+            return np.stack([reach, *([np.zeros_like(reach)] * 2 if along is not None else ())])
         if not loop.any() or along is None and loop.size > FEW_LANES:
             return super().evaluate(inputs, along)
         names, table = inputs.names, inputs.table()
@@ -324,7 +314,8 @@ class FirstFront(Front):
         fields = lane_fields(here, Inputs.from_table(names, way), is_relaxed(here, way), np)
         (found,) = over_lanes(jet_kernel(most, right), np.concatenate(fields), LOOP, _rank)
         value = self.within_reach(here, found[0], most)
-        return Prediction(value[own], *(np.where(np.isfinite(value), x, 0)[own] for x in found[1:]))
+        slopes = () if along is None else np.where(np.isfinite(value), found[1:], 0)
+        return np.stack([value, *slopes])[:, own]
 
     def in_rows(self, inputs: Inputs, relaxed: bool, highest: np.ndarray) -> Float[Array, " m"]:
         """ℓ by the same loop, with two derivatives in forward mode."""
@@ -704,7 +695,7 @@ def is_relaxed(inputs: Inputs, along: Along = None) -> bool:
     return not (inputs.prestress.any() or inputs.threshold_slope.any() or along is not None and along[:, 3:5].any())
 
 
-def by_jax(function: Any, front: Front, inputs: Inputs, along: Along, **options: Any) -> Prediction:
+def by_jax(function: Any, front: Front, inputs: Inputs, along: Along, **options: Any) -> Predicted:
     """Values and derivatives of a ``function(front, inputs, relaxed)`` of one lane, in bulk."""
     table = inputs.table()
     rows, own = distinct_rows(table if along is None else np.concatenate([table, along], axis=1))
@@ -713,7 +704,7 @@ def by_jax(function: Any, front: Front, inputs: Inputs, along: Along, **options:
     if np.isnan(value).any():
         where = ", ".join(f"{x:.9g}" for x in rows[np.argmax(np.isnan(value))])
         raise NotConverged(f"no {front.name} at {inputs.names} = ({where})")
-    return Prediction(value[own], *(np.where(np.isfinite(value), x, 0)[own] for x in slopes))
+    return np.stack([value, *(np.where(np.isfinite(value), x, 0) for x in slopes)])[:, own]
 
 
 @functools.cache
@@ -738,8 +729,7 @@ def lane_fields(inputs: Inputs, along: Inputs, relaxed: bool, numpy: Any) -> tup
 
     A missing end is so far away that no digit changes.
     """
-    names = ["log_height", "log_stiffness", "poisson", "prestress", "threshold_slope"]
-    ended = bool(set(ENDED) & set(inputs.names))
+    names, ended = [*COMMON], bool({*ENDED} & {*inputs.names})
     at, way = ([one.get(name) for name in (names[:3] if relaxed and not ended else names)] for one in (inputs, along))
     far, still = numpy.full_like(at[0], np.log(NO_END)), numpy.zeros_like(at[0])
     for name in ENDED if ended else ():
@@ -791,8 +781,8 @@ def _jets_along(most: int, right: RightEnd, at: Array, along: Array) -> Float[Ar
 
 
 def _joined(first: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    found = np.empty(len(first))
-    found[first], found[~first] = x, y
+    found = np.empty((*x.shape[:-1], len(first)))
+    found[..., first], found[..., ~first] = x, y
     return found
 
 

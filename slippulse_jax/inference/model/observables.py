@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array
 
 from slippulse_jax.bodies.modes import lattice_modes
-from slippulse_jax.inference.model.fronts import Along, Front, Prediction, by_jax, ends_of, sliders
+from slippulse_jax.inference.model.fronts import Along, Front, Predicted, by_jax, ends_of, sliders
 from slippulse_jax.inference.model.inputs import Input, Inputs
 
 OF_GAUGES = {
@@ -79,7 +79,7 @@ OBSERVED = {"length": _length, "displacement": displacement, "force": force, "sl
 """Model of every observable: of front, inputs of a lane, whether it is relaxed, and for gauges how many fields are computed."""
 
 
-def predicted(observable: str, front: Front, inputs: Inputs, along: Along = None) -> Prediction:
+def predicted(observable: str, front: Front, inputs: Inputs, along: Along = None) -> Predicted:
     """Predictions of many lanes, and their derivatives along a line."""
     if observable == "length":
         return front.evaluate(inputs, along)
@@ -95,5 +95,5 @@ def predicted(observable: str, front: Front, inputs: Inputs, along: Along = None
     found[0] = np.inf
     for count in np.unique(size[size > 0]).tolist():
         here, direction = size == count, None if along is None else along[size == count]
-        found[:, here] = by_jax(OBSERVED[observable], front, inputs.take(here), direction, sites=count)[: len(found)]
-    return Prediction(*found)
+        found[:, here] = by_jax(OBSERVED[observable], front, inputs.take(here), direction, sites=count)
+    return found

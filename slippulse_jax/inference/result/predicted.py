@@ -183,4 +183,4 @@ def field(result: "FitResult", row: int, observable: str, position: ArrayLike) -
     inputs = read.inputs.at(result.theta).take(np.full(len(x), read.rows[datum]))
     true_contact, unit = (np.exp(q.scales[name](result.theta)[row]) for name in ("position", observable))
     place = np.log(np.maximum(x / (contact[row] * true_contact), 1e-9))
-    return of_observable(observable, q.front, inputs.given(log_position=place)).value * unit
+    return of_observable(observable, q.front, inputs.given(log_position=place))[0] * unit

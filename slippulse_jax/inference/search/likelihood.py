@@ -183,38 +183,13 @@ class Observations(NamedTuple):
     offset: Linear  # (n,)
 
 
-class Terms(NamedTuple):
-    """−ln p of every datum, (B, n), and its derivatives in μ."""
+def costs(mu: np.ndarray, data: Observations, lane: np.ndarray, loss: Loss) -> np.ndarray:
+    """−ln p of every datum, with its slope and bends in μ.
 
-    value: np.ndarray
-    slope: np.ndarray  # ∂/∂μ
-    curvature: np.ndarray  # positive Gauss–Newton part of ∂²/∂μ²
-    second: np.ndarray  # ∂²/∂μ²
-    information: np.ndarray  # its expectation under the model
-
-
-def terms(mu: np.ndarray, data: Observations, lane: np.ndarray, loss: Loss) -> Terms:
-    """−ln p of every datum, with derivatives.
-
-    Parameters
-    ----------
-    mu : array, shape (B, n)
-        Predictions.
-    data : Observations
-    lane : array of int, shape (B,)
-        Which replicate each lane belongs to.
-    loss : {"normal", "student"}
+    Of shape (4, B, n); the third is a positive bend, the last the full one. `mu` are predictions, (B, n), of replicates
+    `lane`, (B,).
     """
     value, weight = data.value[lane], data.weight[lane]
-    columns = _costs(mu, value, data, loss)
-    columns = np.where(weight > 0, columns, 0)  # a datum that is left out may cost inf, and 0 times inf is NaN
-    exact = data.kind == "length"
-    plain = np.where(np.isfinite(mu), INFORMATION[loss] / np.where(exact, data.sigma, 1) ** 2, 0)
-    return Terms(*(weight * x for x in (*columns, np.where(exact, plain, columns[2]))))
-
-
-def _costs(mu: np.ndarray, value: np.ndarray, data: Observations, loss: Loss) -> np.ndarray:
-    """Evaluate `_derivatives` for every datum, by its kind; shape (4, B, n)."""
     given = np.broadcast_arrays(mu, value, data.sigma)
     columns = np.empty((4, *mu.shape))
     for kind in COSTS:
@@ -222,7 +197,7 @@ def _costs(mu: np.ndarray, value: np.ndarray, data: Observations, loss: Loss) ->
         if there.any():
             found = over_lanes(_derivatives(kind, loss), [x[:, there].ravel() for x in given], LAYOUT)
             columns[:, :, there] = np.reshape(found, (4, len(mu), there.sum()))
-    return columns
+    return weight * np.where(weight > 0, columns, 0)  # a datum that is left out may cost inf, and 0 times inf is NaN
 
 
 class Evaluation(NamedTuple):
@@ -282,8 +257,8 @@ class Problem:
         if self.loss != "normal":
             return None
         data, lane = self.lengths, np.zeros(1, int)  # counts and fronts without arrest are lengths
-        costs = terms(self.predict(theta), data, lane, self.loss).value[0]
-        binding = (data.kind != "length") & (costs - self._least > NOTHING)
+        cost = costs(self.predict(theta), data, lane, self.loss)[0, 0]
+        binding = (data.kind != "length") & (cost - self._least > NOTHING)
         dof = self.known + 2 * int((binding & (data.sigma > 0)).sum()) if binding.any() else self.known - self.p
         return dof if dof > 0 else None
 
@@ -344,15 +319,15 @@ class Problem:
         curvature = metric.copy()
         for data in self.observed:
             mu, first, second = self._predictions(data, theta, order)
-            cost = terms(mu, data, lane, self.loss)
-            value = value + cost.value.sum(axis=1)
+            cost, slope, positive, bend = costs(mu, data, lane, self.loss)
+            value = value + cost.sum(axis=1)
             if first is None:
                 continue
             across = np.swapaxes(first, 1, 2)
-            gradient = gradient + np.einsum("bn,bnp->bp", cost.slope, first)
-            metric = metric + np.matmul(across * cost.curvature[:, None, :], first)
+            gradient = gradient + np.einsum("bn,bnp->bp", slope, first)
+            metric = metric + np.matmul(across * positive[:, None, :], first)
             if second is not None:
-                curvature += np.matmul(across * cost.second[:, None, :], first) + np.einsum("bn,bnpq->bpq", cost.slope, second)
+                curvature += np.matmul(across * bend[:, None, :], first) + np.einsum("bn,bnpq->bpq", slope, second)
         return Evaluation(*(value, gradient, metric, curvature)[: (1, 3, 4)[order]])
 
     def _predictions(
@@ -388,14 +363,14 @@ class Problem:
         if self.tick is not None:
             self.tick(lanes * distinct)
         if directions is None:
-            (found, *_) = predicted(data.observable, self.parameters.front, inputs.ravel())
+            (found,) = predicted(data.observable, self.parameters.front, inputs.ravel())
             return (found.reshape(lanes, distinct)[:, data.rows] * scale + offset,)
         count = len(directions)
         moves = np.stack([directions @ data.inputs.get(name).slope.T for name in names], axis=-1)  # (D, distinct, inputs)
         way = np.repeat(moves[:, None], lanes, axis=1).reshape(-1, len(names))
         every = inputs.map(lambda x: np.broadcast_to(x, (count, lanes, distinct))).ravel()
         found = predicted(data.observable, self.parameters.front, every, way)
-        value, first, second = (np.asarray(x).reshape(count, lanes, distinct)[..., data.rows] * scale for x in found)
+        value, first, second = found.reshape(3, count, lanes, distinct)[..., data.rows] * scale
         # scales and offset change the prediction even where no input does, as with a held stiffness
         size = np.where(np.isfinite(value), value, 0)
         s, o = ((directions @ x.slope.T)[:, None] for x in (data.scale, data.offset))
@@ -455,11 +430,15 @@ class Problem:
         )
 
     def residuals(self, theta: np.ndarray) -> np.ndarray:
-        """Residuals in σ, priors last, if `plain`; shape (B, N + p)."""
+        """Residuals in σ, priors last, if `plain`; shape (B, N + p).
+
+        Very large where the front never stops.
+        """
         value = np.concatenate([data.value[0] for data in self.observed])
         sigma = np.concatenate([data.sigma for data in self.observed])
         known = np.sqrt(self.prior_weight) * (theta - self.prior_mean[0])
-        return np.concatenate([(self.predictions(theta) - value) / sigma, known], axis=1)
+        found = np.concatenate([(self.predictions(theta) - value) / sigma, known], axis=1)
+        return np.where(np.isfinite(found), found, 1e9)
 
     def predict(self, theta: np.ndarray, observable: str = "length") -> np.ndarray:
         """Predictions for one observable, (B, n), in λc, m or N/m."""
@@ -467,14 +446,18 @@ class Problem:
         return self._predictions(data, np.atleast_2d(theta), 0)[0]
 
     def information(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Fisher information, (p, p), and its scaled Jacobian, (n + priors, p)."""
+        """Fisher information, (p, p), and its scaled Jacobian, (n + priors, p).
+
+        Of a value it is what the loss expects, of counts and limits the bend of their cost.
+        """
         theta = np.atleast_2d(theta)
         rows = []
         for data in self.observed:
             mu, first, _ = self._predictions(data, theta, 1)
-            cost = terms(mu, data, np.zeros(1, int), self.loss)
             assert first is not None
-            rows.append(np.sqrt(cost.information[0])[:, None] * first[0])
+            exact, (positive,) = data.kind == "length", costs(mu, data, np.zeros(1, int), self.loss)[2]
+            expected = np.where(np.isfinite(mu[0]), INFORMATION[self.loss] / np.where(exact, data.sigma, 1) ** 2, 0)
+            rows.append(np.sqrt(np.where(exact, data.weight[0] * expected, positive))[:, None] * first[0])
         rows.append(np.diag(np.sqrt(self.prior_weight)))
         jacobian = np.concatenate(rows)
         return jacobian.T @ jacobian, jacobian

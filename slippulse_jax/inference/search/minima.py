@@ -14,7 +14,7 @@ import numpy as np
 
 from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.model.parameters import STIFFNESSES, ParameterSet
-from slippulse_jax.inference.search.likelihood import EXPECTED, Problem, terms
+from slippulse_jax.inference.search.likelihood import EXPECTED, Problem, costs
 from slippulse_jax.inference.search.minimise import Convergence, Method, descend, minimise
 
 SCANNED = 3
@@ -42,7 +42,7 @@ CROWDED = 24
 """Largest number of different lengths whose peaks are scanned closely on both sides."""
 
 
-class Grid(NamedTuple):
+class DevianceGrid(NamedTuple):
     """Deviance on a grid over the range searched."""
 
     theta: np.ndarray  # (g_1, …, g_p, p)
@@ -137,7 +137,7 @@ class Found(NamedTuple):
     theta: np.ndarray  # (p,), of the least deviance met, at a minimum or not
     deviance: float
     unconverged: list[tuple[float, str]]  # deviance and message of the starts that did not converge
-    grid: Grid | None  # where one was searched
+    grid: DevianceGrid | None  # where one was searched
     curves: dict[int, Curve] = {}  # profiles of the requested parameters, where they were followed
     scatter: float | None = None  # factor on the stated σ, or on 1 λc, by which they match the scatter about the fit
     scatter_dof: float | None = None  # degrees of freedom left over by that
@@ -273,20 +273,20 @@ def _left_over(problem: Problem, theta: np.ndarray, of_lengths: bool) -> tuple[f
     scaled, deviance = problem.observed[: 1 if of_lengths else None], 0.0
     for data in scaled:
         mu = problem.predict(theta, data.observable)
-        deviance += 2 * float(terms(mu, data, np.zeros(1, int), problem.loss).value.sum())
+        deviance += 2 * float(costs(mu, data, np.zeros(1, int), problem.loss)[0].sum())
     jacobian = problem.information(theta)[1] * (problem.parameters.high - problem.parameters.low)
     own = jacobian[: sum(len(data.rows) for data in scaled)]  # the lengths come first, priors last
     used = np.trace(np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12, hermitian=True) @ (own.T @ own))
     return deviance, len(own) - float(used)
 
 
-def grid_of(problem: Problem) -> Grid | None:
+def grid_of(problem: Problem) -> DevianceGrid | None:
     """Compute the deviance on a grid; None beyond `SCANNED` parameters."""
     if problem.p > SCANNED:
         return None
     theta = np.stack(np.meshgrid(*first_edges(problem), indexing="ij"), axis=-1)
     value = problem(theta.reshape(-1, problem.p)).value
-    return Grid(theta, 2 * value.reshape(theta.shape[:-1]))
+    return DevianceGrid(theta, 2 * value.reshape(theta.shape[:-1]))
 
 
 def first_edges(problem: Problem) -> list[np.ndarray]:
@@ -326,7 +326,7 @@ def _counted(problem: Problem, j: int) -> np.ndarray:
     return theta[at, j] + share * (theta[at + 1, j] - theta[at, j])
 
 
-def _starts(problem: Problem, grid: Grid | None, seed: int) -> np.ndarray:
+def _starts(problem: Problem, grid: DevianceGrid | None, seed: int) -> np.ndarray:
     """Choose where to start, (s, p); else the middle of the range."""
     found = _sampled(problem, seed) if grid is None else grid.starts()
     return found if len(found) else (problem.parameters.low + problem.parameters.high)[None] / 2

@@ -47,7 +47,6 @@ class Descents(NamedTuple):
     theta: np.ndarray  # (B, p)
     value: np.ndarray  # (B,)
     convergence: np.ndarray  # (B,), a `Convergence`
-    steps: np.ndarray  # (B,)
 
 
 def minimise(
@@ -93,7 +92,7 @@ def minimise(
     if held.all():
         value = objective(start, lane, 0).value
         ends = np.where(np.isfinite(value), Convergence.CONVERGED, Convergence.NO_LENGTH)
-        return Descents(start, value, ends, np.zeros(len(start), dtype=int))
+        return Descents(start, value, ends)
     if method != "lm":
         return _by_optax(method, objective, start, low, high, max_steps)
     return _levenberg_marquardt(objective, start, low, high, held, lane, tolerance, max_steps, enough=enough)
@@ -130,10 +129,9 @@ def _levenberg_marquardt(
     enough: float,
 ) -> Descents:
     """Take damped steps, each lane with its own damping (Moré)."""
-    value, gradient, metric = _first_order(objective, theta, lane)
+    value, gradient, metric = (x.copy() for x in objective(theta, lane, 1)[:3])
     damping, size, bend = np.full(len(theta), FIRST_DAMPING), np.zeros_like(theta), np.zeros_like(metric)
     ends = np.where(np.isfinite(value), Convergence.NOT_CONVERGED, Convergence.NO_LENGTH)
-    steps = np.zeros(len(theta), dtype=int)
     work = np.nonzero(np.isfinite(value))[0]
     for count in range(max_steps + 1):
         order = 1 if count < GAUSS_NEWTON_STEPS or (count - GAUSS_NEWTON_STEPS + 1) % BEND_KEPT else 2
@@ -142,7 +140,8 @@ def _levenberg_marquardt(
             bend[work] = curvature - metric[work]
             metric[work] = _positive(curvature, metric[work])
         g, m = gradient[work], metric[work]
-        stuck = held | _pushed_out(theta[work], low[work], high[work], g)
+        # held, or pushed against a side of the box
+        stuck = held | (theta[work] <= low[work]) & (g > 0) | (theta[work] >= high[work]) & (g < 0)
         g, m = _without(g, m, stuck)
         diagonal = np.einsum("bpp->bp", m)
         size[work] = np.maximum(size[work], diagonal)
@@ -178,22 +177,10 @@ def _levenberg_marquardt(
             bend[moved] = tried.curvature[accept] - metric[moved]
         if count >= GAUSS_NEWTON_STEPS:
             metric[moved] = _positive(metric[moved] + bend[moved], metric[moved])
-        steps[work] += 1
         edge = ~accept & (square <= tolerance * scale)  # beside a step of a length no move gains, however small
         ends[work[edge]] = Convergence.CONVERGED
         work = work[~edge]
-    return Descents(theta, value, ends, steps)
-
-
-def _first_order(objective: Objective, theta: np.ndarray, lane: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Value, gradient and metric, as writable arrays."""
-    at = objective(theta, lane, 1)
-    return at.value.copy(), at.gradient.copy(), at.metric.copy()
-
-
-def _pushed_out(theta: np.ndarray, low: np.ndarray, high: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """Coordinates pushed against a side of the box."""
-    return (theta <= low) & (gradient > 0) | (theta >= high) & (gradient < 0)
+    return Descents(theta, value, ends)
 
 
 def _without(g: np.ndarray, m: np.ndarray, stuck: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -264,4 +251,4 @@ def _by_optax(method: Method, objective: Any, start: np.ndarray, low: np.ndarray
     done = _decrement(*_without(g, m, np.abs(z) > AT_SIDE), np.einsum("bpp->bp", m)) <= 1e-4
     kinds = [~np.isfinite(at.value), flat, done]
     ends = np.select(kinds, [Convergence.NO_LENGTH, Convergence.FLAT, Convergence.CONVERGED], Convergence.NOT_CONVERGED)
-    return Descents(theta, at.value, ends, np.full(len(theta), rounds))
+    return Descents(theta, at.value, ends)
