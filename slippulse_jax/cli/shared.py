@@ -25,7 +25,11 @@ FAILURE, BAD_INPUT, NOT_CONVERGED, INCOMPLETE, INTERRUPTED = 1, 2, 3, 4, 130
 as_json = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 
 
-def choice(name: str, of: Any, text: str, **options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+Option = Callable[[Callable[..., Any]], Callable[..., Any]]
+"""Decorator of a command."""
+
+
+def choice(name: str, of: Any, text: str, **options: Any) -> Option:
     """Option that takes one of the values of a ``Literal``."""
     return click.option(name, type=click.Choice(get_args(of)), help=text, **options)
 
@@ -65,17 +69,8 @@ MOST_VALUES = 10_000_000
 VALUES = Values()
 
 
-def contacts_of_block(kind: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Options of a block and its contacts; numbers of a `kind`."""
-    law = "What follows the pressure with --friction: thresholds, or thresholds and stiffnesses."
-    options = (
-        click.option(
-            "--friction", type=kind, metavar="μ", help="Friction coefficient of a block, whose thresholds follow the pressure."
-        ),
-        click.option("--normal-stiffness", type=kind, metavar="k_n/k", help="Of a block; 1.2 by default with --friction."),
-        choice("--contact-law", ContactLaw, law, default="amontons"),
-        choice("--top", Top, "Whether the top of a block may tilt.", default="free"),
-    )
+def together(*options: Option) -> Option:
+    """Several options as one, listed in this order."""
 
     def add(command: Callable[..., Any]) -> Callable[..., Any]:
         for one in reversed(options):
@@ -85,20 +80,30 @@ def contacts_of_block(kind: Any) -> Callable[[Callable[..., Any]], Callable[...,
     return add
 
 
-def slider_options(*, required: bool) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def contacts_of_block(kind: Any) -> Option:
+    """Options of a block and its contacts; numbers of a `kind`."""
+    law = "What follows the pressure with --friction: thresholds, or thresholds and stiffnesses."
+    return together(
+        click.option(
+            "--friction", type=kind, metavar="μ", help="Friction coefficient of a block, whose thresholds follow the pressure."
+        ),
+        click.option("--normal-stiffness", type=kind, metavar="k_n/k", help="Of a block; 1.2 by default with --friction."),
+        choice("--contact-law", ContactLaw, law, default="amontons"),
+        choice("--top", Top, "Whether the top of a block may tilt.", default="free"),
+    )
+
+
+def slider_options(*, required: bool) -> Option:
     """Options of one slider in λc, `required` or not."""
-
-    def add(command: Callable[..., Any]) -> Callable[..., Any]:
-        poisson = click.option("--poisson", type=float, required=True, metavar="ν", help="Poisson's ratio.")
-        stiffness = click.option(
-            "--stiffness", type=float, required=required, metavar="k/K", help="Contact stiffness over bond stiffness K = Eλc."
-        )
-        height = click.option(
+    return together(
+        click.option(
             "--height", type=float, required=required, metavar="H/λc", help="Height of the slider over the correlation length."
-        )
-        return height(stiffness(poisson(command)))
-
-    return add
+        ),
+        click.option(
+            "--stiffness", type=float, required=required, metavar="k/K", help="Contact stiffness over bond stiffness K = Eλc."
+        ),
+        click.option("--poisson", type=float, required=True, metavar="ν", help="Poisson's ratio."),
+    )
 
 
 def option(name: str) -> str:
@@ -150,19 +155,16 @@ def leave_when_interrupted() -> None:
 
 def print_json(content: dict[str, Any]) -> None:
     """Print strict JSON, with null for numbers that are not finite."""
-    click.echo(json.dumps(plain(content), indent=2, ensure_ascii=not prints_unicode(), allow_nan=False))
-
-
-def prints_unicode() -> bool:
-    """Whether stdout takes every character."""
-    return (getattr(sys.stdout, "encoding", None) or "utf-8").lower().startswith("utf")
+    every_character = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().startswith("utf")
+    click.echo(json.dumps(plain(content), indent=2, ensure_ascii=not every_character, allow_nan=False))
 
 
 def refuse(error: Exception | str, status: int = BAD_INPUT) -> NoReturn:
-    """Exit with a message and a status, by default that of bad input."""
-    named = isinstance(error, OSError) and error.filename is not None
-    refused = click.ClickException(f"{error.filename}: {error.strerror}" if named else shortened(str(error)))
-    refused.exit_code = status
+    """Exit with a message and a status, that of bad input."""
+    if isinstance(error, OSError) and error.filename is not None:
+        error = f"{error.filename}: {error.strerror}"
+    refused = click.ClickException(shortened(str(error)))
+    refused.exit_code = status  # pyright: ignore[reportAttributeAccessIssue]
     raise refused from None
 
 

@@ -102,9 +102,8 @@ def pulse_or_crack(
     options = {"intervals": "profile", "body": "slider", **options}  # none is looked at here
     wanted = wanted_parameters(free, options.pop("bounds", None), options.pop("fixed", None))
     pulse = fit(measurements, [one for one in wanted if one.name != "friction"], seed=seed, **options)
-    of_crack: dict[str, Any] = {"event": "crack"}
     friction = [] if any(one.name == "friction" for one in wanted) else [Parameter("friction")]
-    crack = fit(measurements, [*wanted, *friction], seed=seed, **(options | of_crack))
+    crack = fit(measurements, [*wanted, *friction], seed=seed, **{**options, "event": "crack"})
     rng = np.random.default_rng(seed)
     of_pulses, of_cracks = (_differences(truth, pulse, crack, simulations, rng) for truth in (pulse, crack))
     difference = pulse.deviance - crack.deviance

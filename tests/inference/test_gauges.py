@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +20,7 @@ from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.model.observables import predicted
 from slippulse_jax.inference.model.parameters import parameter_set
 from slippulse_jax.inference.result.verdict import Identifiability
-from slippulse_jax.inference.search.likelihood import log_density, make_problem
+from slippulse_jax.inference.search.likelihood import make_problem
 from slippulse_jax.inference.search.minimise import minimise
 from slippulse_jax.inference.table.measurements import MeasurementError, read_measurements
 
@@ -115,8 +114,8 @@ def test_objective(kind):
     np.testing.assert_allclose(found.gradient[0], slope, rtol=1e-5, atol=1e-3)
     if kind == "length":  # the other case is a part of this one
         with jax.enable_x64(True):
-            density = jax.jit(partial(log_density, problem=problem))(jnp.asarray(theta))
-        np.testing.assert_allclose(density, -found.value[0], rtol=1e-9)
+            density = jax.jit(problem.traced)(jnp.asarray(theta))
+        np.testing.assert_allclose(density, found.value[0], rtol=1e-9)
 
 
 @pytest.mark.ci

@@ -6,7 +6,7 @@ kernel may compute. A new model is a new class: one here, which `front_of` choos
 """
 
 import functools
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
@@ -120,9 +120,9 @@ class Front:
         raise NotImplementedError
 
     def length(self, inputs: Inputs, relaxed: bool) -> Array:
-        """Length of one lane in λc, a JAX function with derivatives in forward mode.
+        """Length of one lane in λc, a JAX function.
 
-        `relaxed` says that prestress and slope are zero for certain.
+        With derivatives in forward mode. `relaxed` says that prestress and slope are zero for certain.
         """
         return self._from_table(inputs)
 
@@ -202,7 +202,7 @@ class Front:
         return np.select(list(kinds.values()), list(kinds), Outcome.NO_DOMINO)
 
     def breaks_again(self, inputs: Inputs) -> np.ndarray:
-        """Whether the edge would break again, which the model leaves out; shape (L,)."""
+        """Whether the edge would break again, which the model leaves out; (L,)."""
         return np.zeros(inputs.poisson.shape, bool)
 
     def uncertainty(self, inputs: Inputs) -> np.ndarray | None:
@@ -321,8 +321,7 @@ class FirstFront(Front):
         """ℓ by the same loop, with two derivatives in forward mode."""
         most, right = self.most(highest, inputs.names)
         at, _ = lane_fields(inputs, inputs, relaxed, jnp)
-        value = _by_loop(most, right, at)
-        return jnp.where(jnp.isnan(value) | (value > most if most < DEFAULT_MAX_CONTACTS else False), jnp.inf, value)
+        return self.within_reach(inputs, _by_loop(most, right, at), most, jnp)
 
     def status(self, inputs: Inputs) -> np.ndarray:
         """`Outcome` of each front, by the recursion; shape (L,)."""
@@ -332,7 +331,7 @@ class FirstFront(Front):
         return np.asarray(arrests(slider, interface, ends=ends).status)[own]
 
     def values(self, inputs: Inputs) -> np.ndarray:
-        """Lengths alone: those that run far in closed form, ℓ to rounding there."""
+        """Lengths alone, of fronts that run far in closed form, to rounding."""
         slider, interface, ends = recursion_inputs(inputs, is_relaxed(inputs))
         reach = self.reach(inputs)
         far = reach > LONGEST if ends is ENDLESS else np.isinf(reach)
@@ -374,17 +373,16 @@ class FirstFront(Front):
 
     @staticmethod
     def most(log_height: np.ndarray, names: tuple[str, ...]) -> tuple[int, RightEnd]:
-        """Contacts after which a front never stops, in few steps; the right end."""
+        """Contacts after which a front never stops; and the right end."""
         if not set(ENDED) & set(names):
             return DEFAULT_MAX_CONTACTS, "semi-infinite"
         return int(2 ** np.ceil(np.log2(np.maximum(FARTHEST * np.exp(log_height), AT_LEAST))).max()), "free"
 
-    def within_reach(self, inputs: Inputs, value: np.ndarray, most: int) -> np.ndarray:
-        """Lengths, inf where a front runs too far."""
-        value = np.where(np.isnan(value), np.inf, value)
-        if set(ENDED) & set(inputs.names):
-            value = np.where(value > most, np.inf, value)
-        return value
+    @staticmethod
+    def within_reach(inputs: Inputs, value: Any, most: int, numpy: Any = np) -> Any:
+        """Lengths, inf where a front runs too far; `numpy` may be JAX's."""
+        too_far = numpy.isnan(value) | (value > most if {*ENDED} & {*inputs.names} else False)
+        return numpy.where(too_far, np.inf, value)
 
     def breaks_again(self, inputs: Inputs) -> np.ndarray:
         """Whether the edge is back at its threshold before the front stops."""
@@ -567,7 +565,7 @@ class BlockEvent(Front):
                 self.held = "the pusher and the top of the block"
 
     def check(self, m: Measurements, names: Collection[str]) -> None:
-        """Ask for the height of the push, and refuse what blocks cannot take."""
+        """Ask for a push, and refuse what blocks cannot take."""
         if m.push_height is None:
             raise ValueError(f"{m.source}: a block needs the height of the push: give push_height (push_height_mm in a table)")
         if np.isnan(m.push_height).any():
@@ -577,7 +575,7 @@ class BlockEvent(Front):
             raise ValueError("parameter friction: the measurements state no friction to start from; a guess is enough")
         for name, why in self.refused.items():
             if getattr(m, name) is not None:
-                own, push = m.columns.get(name, name), m.columns.get("push_height", "push_height")
+                own, push = m.heading(name), m.heading("push_height")
                 raise ValueError(f"{m.source}: {own} beside {push}: a fit of a block takes one {why} (docs/fit/own_csv.md)")
         if "threshold_slope" in names or m.or_zero("threshold_slope").any():
             raise ValueError(f"{m.source}: threshold_slope: a fit of a block takes level thresholds")
@@ -585,17 +583,29 @@ class BlockEvent(Front):
     def stated(self, m: Measurements) -> dict[str, np.ndarray]:
         """The push on each block, its end, and what the pressure does."""
         assert m.push_height is not None
-        return pushed(
-            m.height, m.push_height, m.push_width, m.push_control, length=m.block_length, friction=m.friction,
-            normal_stiffness=m.normal_stiffness, contact_law=m.contact_law, top=m.top,
-        )  # fmt: skip
+
+        def log(x: np.ndarray | None) -> np.ndarray:
+            return np.full(len(m), np.inf) if x is None else np.log(np.where(np.isnan(x), np.inf, x))
+
+        ended, normal = {} if m.block_length is None else {"log_sites": log(m.block_length)}, log(m.normal_stiffness)
+        if m.friction is not None:
+            usual = np.full(len(m), np.log(USUAL_NORMAL_STIFFNESS))
+            normal = usual if m.normal_stiffness is None else np.minimum(normal, np.log(RIGID))
+        texts = zip(FLAGS, (m.push_control, m.contact_law, m.top), ("force", "multicontact", "held"), strict=True)
+        return ended | {
+            "log_push": np.log(m.push_height / m.height),
+            "log_push_width": log(m.push_width) - np.log(m.height),
+            "friction": m.or_zero("friction"),
+            "log_normal_stiffness": normal,
+            **{name: np.array([one == word for one in text] or [False] * len(m), float) for name, text, word in texts},
+        }
 
     def values(self, inputs: Inputs) -> np.ndarray:
         """Interpolated ℓ in λc."""
         return self.followed(inputs)[0]
 
     def uncertainty(self, inputs: Inputs) -> np.ndarray | None:
-        """How far each length may be off, by size of contacts and next to a fall."""
+        """How far lengths may be off, for their contacts and near falls."""
         return self.followed(inputs)[1]
 
     def softest(self, m: Measurements) -> np.ndarray:
@@ -653,40 +663,6 @@ def front_of(m: Measurements, event: MeasuredEvent | Front | None = None, body: 
     return front_for(body, event, m)
 
 
-def pushed(
-    height: np.ndarray,
-    at: np.ndarray,
-    width: np.ndarray | None = None,
-    control: Sequence[str] = (),
-    *,
-    length: np.ndarray | None = None,
-    normal_stiffness: np.ndarray | None = None,
-    friction: np.ndarray | None = None,
-    contact_law: Sequence[str] = (),
-    top: Sequence[str] = (),
-) -> dict[str, np.ndarray]:
-    """Inputs of blocks that sliders do not have, each of shape (n,).
-
-    NaN, or None, as in `Measurements`.
-    """
-    none = np.full(len(height), np.nan)
-
-    def or_inf(x: np.ndarray | None) -> np.ndarray:
-        return np.log(np.where(np.isnan(none if x is None else x), np.inf, none if x is None else x))
-
-    usual = None if friction is None else np.full(len(height), USUAL_NORMAL_STIFFNESS)
-    normal = or_inf(usual if normal_stiffness is None else normal_stiffness)
-    ended = {} if length is None else {"log_sites": or_inf(length)}
-    texts = zip(FLAGS, (control, contact_law, top), ("force", "multicontact", "held"), strict=True)
-    return ended | {
-        "log_push": np.log(at / height),
-        "log_push_width": or_inf(width) - np.log(height),
-        "friction": np.zeros(len(height)) if friction is None else friction,
-        "log_normal_stiffness": normal if friction is None else np.minimum(normal, np.log(RIGID)),
-        **{name: np.array([one == word for one in text] or [False] * len(height), float) for name, text, word in texts},
-    }
-
-
 # --- derivatives -------------------------------------------------------------------------------------------------------
 
 
@@ -696,7 +672,7 @@ def is_relaxed(inputs: Inputs, along: Along = None) -> bool:
 
 
 def by_jax(function: Any, front: Front, inputs: Inputs, along: Along, **options: Any) -> Predicted:
-    """Values and derivatives of a ``function(front, inputs, relaxed)`` of one lane, in bulk."""
+    """Values and derivatives of a ``function(front, inputs, relaxed)`` of one lane."""
     table = inputs.table()
     rows, own = distinct_rows(table if along is None else np.concatenate([table, along], axis=1))
     kernel = _jets(function, front, inputs.names, along is not None, is_relaxed(inputs, along), **options)

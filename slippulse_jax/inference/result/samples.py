@@ -1,7 +1,7 @@
 """Samples of the fitted parameters: refits, or draws from the posterior.
 
 All refits of a bootstrap are one batch. The posterior is sampled by the No-U-Turn sampler, which needs the extra ``bayes``
-(numpyro and ArviZ). Its density is that of the fit (`slippulse_jax.inference.search.likelihood.log_density`); a parameter
+(numpyro and ArviZ). Its density is that of the fit (`slippulse_jax.inference.search.likelihood.Problem.traced`); a parameter
 without a prior is flat over the range searched, a positive one in its logarithm.
 """
 
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 Bootstrap = Literal["parametric", "case"]
 """Kinds of a bootstrap."""
 
-MOST_STARTS = 4
 GOOD_RHAT = 1.01
 GOOD_ESS = 400.0
 
@@ -217,7 +216,7 @@ def bootstrap(result: "FitResult", count: int = 1000, *, kind: Bootstrap = "para
 
 def refitted(result: "FitResult", problem: Problem, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """θ, deviance, convergence of the best refit, of converged ones first."""
-    starts = np.array([one.theta for one in result.roots[:MOST_STARTS]] or [result.theta])
+    starts = np.array([one.theta for one in result.roots[:4]] or [result.theta])
     q, many = result.parameters, len(starts)
     lane = np.repeat(np.arange(count), many)
     ends = minimise(problem, np.tile(starts, (count, 1)), q.low, q.high, lane=lane)

@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri, fdtri
 
+from slippulse_jax.inference.choices import IntervalsBy
 from slippulse_jax.inference.search.likelihood import Problem
 from slippulse_jax.inference.search.minima import SLACK, Curve, DevianceGrid, Found, Root, first_edges
 from slippulse_jax.inference.search.minimise import minimise
@@ -34,9 +35,6 @@ NODES = 61  # of a profile of one of several parameters, over its whole range
 STEPS_AROUND = np.array([0.1, 0.25, 0.5, 0.75, 1, 1.25, 1.6, 2, 2.5, 3, 4, 6])  # in standard errors of a root
 STARTS_KEPT = 2  # per node, and of the low points of a grid
 EXCLUDED = 100.0  # expected deviance above the least, above which a node is left out, or not minimised to the end
-STEPS = 25  # of a minimisation at a node
-AT_NODES = 1e-7  # Newton decrement at which it ends
-CROSSING_ROUNDS = 60
 CROSSED = 1e-5  # distance of the root of the rise from that of a limit at which an end is found: 10⁻⁵ of the interval
 LARGEST = 1e12  # rise that a crossing is sought with; a measured length whose event does not stop has none
 SIMULATIONS = {1: 2000, 2: 500}
@@ -44,7 +42,6 @@ SIMULATIONS = {1: 2000, 2: 500}
 RESOLUTION = {1: 0.15, 2: 0.3}
 """Spacing of the table of predictions, in standard errors of all measurements together."""
 MOST_NODES, MOST_VALUES = {1: 2000, 2: 120}, {1: 60, 2: 30}
-MOST_OTHERS = 80  # values of a second parameter at each of the first
 ONE_THREAD = 4 * 2**16
 """Multiplications up to which OpenBLAS uses one thread: larger products, split over two, took ten times as long."""
 STRAIGHT = 1.15
@@ -100,21 +97,15 @@ def rise_of(level: float, parameters: int = 1, dof: float | None = None) -> floa
 def constrained(problem: Problem, held: np.ndarray, nodes: np.ndarray, starts: np.ndarray, *, enough: float = np.inf) -> Curve:
     """Least deviance at every node, with the `held` coordinates fixed there.
 
-    Parameters
-    ----------
-    held : array of bool, shape (p,)
-    nodes : array, shape (g, number held)
-    starts : array, shape (s, p) or (g, s, p)
-        Values of the other coordinates to start from.
-    enough : float
-        Deviance above which that of a node need not be the least.
+    `held` is of shape (p,), `nodes` (g, number held). The other coordinates start from `starts`, (s, p) or (g, s, p). Above
+    `enough`, the deviance of a node need not be the least.
     """
     starts = np.broadcast_to(starts, (len(nodes), *starts.shape[-2:])).copy()
     starts[:, :, held] = nodes[:, None, :]
     count, many, p = starts.shape
     holding = dataclasses.replace(problem, held=held)
     box = problem.parameters.low, problem.parameters.high
-    how = {"max_steps": STEPS, "tolerance": AT_NODES, "enough": enough / 2}
+    how = {"max_steps": 25, "tolerance": 1e-7, "enough": enough / 2}
     found = minimise(holding, starts.reshape(-1, p), *box, held=held, **how)
     value = found.value.reshape(count, many)
     best = value.argmin(axis=1)
@@ -125,13 +116,8 @@ def constrained(problem: Problem, held: np.ndarray, nodes: np.ndarray, starts: n
 def profile(problem: Problem, j: int, roots: list[Root], seeds: np.ndarray, grid: DevianceGrid | None = None) -> Curve:
     """Profile of parameter j, with nodes crowded around every root.
 
-    Parameters
-    ----------
-    roots : list of Root
-    seeds : array, shape (s, p)
-        Other good points to start from.
-    grid : DevianceGrid, optional
-        Of the search: its nodes, for a single parameter; its low points to start from, for several.
+    `seeds`, (s, p), are other good points to start from. The `grid` of the search has the nodes, for a single parameter, and
+    low points to start from, for several.
     """
     low, high = problem.parameters.low[j], problem.parameters.high[j]
     spread = np.linspace(low, high, NODES) if grid is None or problem.p > 1 else grid.theta[:, 0]
@@ -181,13 +167,7 @@ def _from_neighbours(problem: Problem, held: np.ndarray, curve: Curve, enough: f
 
 
 def allowed(problem: Problem, j: int, curve: Curve, limits: dict[float, float]) -> Intervals:
-    """Intervals of θ_j with a deviance below each limit, in increasing order.
-
-    Parameters
-    ----------
-    limits : dict
-        Deviance allowed, by confidence level.
-    """
+    """Intervals of θ_j with a deviance below the limit of each level."""
     inside = {level: curve.deviance <= limit for level, limit in limits.items()}
     ends = iter(_crossings(problem, j, curve, [(i, limits[level]) for level, own in inside.items() for i in _changes(own)]))
     return {level: pieces_of(curve.node, own, [next(ends) for _ in _changes(own)]) for level, own in inside.items()}
@@ -209,7 +189,7 @@ def _crossings(problem: Problem, j: int, curve: Curve, brackets: list[tuple[int,
     ends, near = (np.stack([x[index], x[index + 1]], axis=1) for x in (curve.node, curve.theta))
     value = np.stack([above(curve.deviance[index + k], work) for k in (0, 1)], axis=1)
     at, rises, last = ends[:, 0].copy(), value[:, 1] > 0, np.full(len(index), -1)
-    for round_ in range(CROSSING_ROUNDS):
+    for round_ in range(60):
         if not len(work):
             break
         share = value[work, 0] / (value[work, 0] - value[work, 1])
@@ -254,18 +234,10 @@ def can_be_calibrated(problem: Problem) -> bool:
     return problem.p <= 2 and problem.plain
 
 
-def to_be_simulated(problem: Problem, wanted: str, found: Found, pieces: dict[int, Intervals]) -> bool:
-    """Whether to simulate intervals: if requested, or where χ² would mislead.
+def to_be_simulated(problem: Problem, wanted: IntervalsBy, found: Found, pieces: dict[int, Intervals]) -> bool:
+    """Whether to simulate intervals: if wanted, or where χ² would mislead.
 
-    By default it would where valleys compete, or one is not parabolic.
-
-    Parameters
-    ----------
-    problem : Problem
-    wanted : {"auto", "profile", "calibrated"}
-    found : Found
-    pieces : dict
-        Profile-likelihood intervals of each θ_j.
+    By default it would where valleys compete, or one is not parabolic. `pieces` are the profile-likelihood intervals.
     """
     minima, deviance = found.minima, found.deviance
     if wanted == "calibrated":
@@ -349,7 +321,7 @@ def _across(problem: Problem, j: int, curve: Curve) -> Predictions:
     for i, y in enumerate(found):
         # gaps between valleys are skipped
         path = np.concatenate([[0], np.cumsum(np.minimum(steps[starts[i] : starts[i + 1] - 1], 20.0))])
-        count = int(np.clip(path[-1] / RESOLUTION[2], 2, MOST_OTHERS))
+        count = int(np.clip(path[-1] / RESOLUTION[2], 2, 80))
         found[i] = np.append(np.interp(np.linspace(0, path[-1], count), path, y), ridge[i, other])
     theta = _points(node, found, j)
     off = problem.residuals(theta)

@@ -1,7 +1,7 @@
 """Log density of measurements and priors, of which every inference consists.
 
-`log_density(theta, problem)` is traced by JAX: −ln p of each datum given its prediction (`length_cost`, `count_cost`,
-`at_least_cost`), summed with the Gaussian priors. A fit evaluates it for thousands of θ at once by calling the `Problem`: the
+A `Problem` is −ln p of each datum given its prediction (`length_cost`, `count_cost`, `at_least_cost`), summed with the Gaussian
+priors. `Problem.traced` is a JAX function of one θ. A fit evaluates it for thousands of θ at once by calling the `Problem`: the
 predictions and their derivatives come from the models of `slippulse_jax.inference.model.fronts`, value and derivatives of the
 same cost functions from `jax.grad`, and the chain rule, θ being linear in the inputs, joins the two.
 
@@ -41,9 +41,6 @@ EXACT = 1e-12
 
 IMPROBABLE = 1e-3
 """Probability of χ² below which model and σ do not describe the data."""
-
-NOTHING = 1e-6
-"""Cost of a count, or of a front without arrest, below which the model meets it."""
 
 LAYOUT = Layout(chunk=128, fusion_emitters=False)
 """Layout of data for the compiled cost functions."""
@@ -122,17 +119,8 @@ def data_log_density(
 ) -> np.ndarray:
     """Log density of data given their predictions, without the constants.
 
-    Arrays that broadcast, NumPy float64.
-
-    Parameters
-    ----------
-    mu : array_like
-        Predictions; inf where the front never stops.
-    value, sigma : array_like
-        What was measured, and its standard error.
-    kind : {"length", "whole", "at_least"}
-    exact : bool
-        Whether a count with σ = 0 is its interval itself (`EXACT`), instead of one blurred as in a fit (`SHARPEST`).
+    Arrays that broadcast, NumPy float64; predictions are inf where the front never stops. A count with σ = 0 is its interval
+    itself if `exact` (`EXACT`), else one blurred as in a fit (`SHARPEST`).
     """
     numbers = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (mu, value, sigma)))
     cost = over_lanes(_values(kind, exact and kind == "whole"), [x.ravel() for x in numbers], LAYOUT)[0]
@@ -258,7 +246,7 @@ class Problem:
             return None
         data, lane = self.lengths, np.zeros(1, int)  # counts and fronts without arrest are lengths
         cost = costs(self.predict(theta), data, lane, self.loss)[0, 0]
-        binding = (data.kind != "length") & (cost - self._least > NOTHING)
+        binding = (data.kind != "length") & (cost - self._least > 1e-6)  # which the model does not meet
         dof = self.known + 2 * int((binding & (data.sigma > 0)).sum()) if binding.any() else self.known - self.p
         return dof if dof > 0 else None
 
@@ -292,9 +280,9 @@ class Problem:
         return self.count - int((self.lengths.kind != "length").sum())
 
     def __call__(self, theta: Float[np.ndarray, "B p"], lane: np.ndarray | None = None, order: int = 0) -> Evaluation:
-        """Evaluate −log_density at every θ, against replicate `lane` (the measurements by default).
+        """Evaluate −ln(likelihood × prior) at every θ, with derivatives to `order`.
 
-        Derivatives come to `order`.
+        Against replicate `lane`, by default the measurements.
         """
         theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
         lane = np.zeros(len(theta), dtype=int) if lane is None else lane
@@ -307,8 +295,14 @@ class Problem:
         return Evaluation(*map(np.concatenate, zip(*parts, strict=True)))
 
     def traced(self, theta: Float[Array, " p"]) -> Float[Array, ""]:
-        """The value at one θ as a JAX function."""
-        return -log_density(theta, self)
+        """The value at one θ, (p,), as a JAX function.
+
+        For `jax.jit`, `jax.vmap` and `jax.grad`, and up to rounding that of a call; in double precision only under
+        ``jax.enable_x64``. θ is in the order of `parameters.names`; the bounds are not part of it.
+        """
+        off = theta - jnp.asarray(self.prior_mean[0])
+        prior = (self.prior_weight * off**2).sum() / 2
+        return sum((_traced(theta, self, data) for data in self.observed), prior)
 
     def _evaluate(self, theta: np.ndarray, lane: np.ndarray, order: int) -> Evaluation:
         """Sum the cost over priors and observables, with its derivatives."""
@@ -445,10 +439,10 @@ class Problem:
         (data,) = (one for one in self.observed if one.observable == observable)
         return self._predictions(data, np.atleast_2d(theta), 0)[0]
 
-    def information(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Fisher information, (p, p), and its scaled Jacobian, (n + priors, p).
+    def jacobian(self, theta: np.ndarray) -> np.ndarray:
+        """Jacobian over σ, (n + priors, p); its square is Fisher's information.
 
-        Of a value it is what the loss expects, of counts and limits the bend of their cost.
+        Of a value that is what the loss expects, of counts and limits the bend of their cost.
         """
         theta = np.atleast_2d(theta)
         rows = []
@@ -459,8 +453,7 @@ class Problem:
             expected = np.where(np.isfinite(mu[0]), INFORMATION[self.loss] / np.where(exact, data.sigma, 1) ** 2, 0)
             rows.append(np.sqrt(np.where(exact, data.weight[0] * expected, positive))[:, None] * first[0])
         rows.append(np.diag(np.sqrt(self.prior_weight)))
-        jacobian = np.concatenate(rows)
-        return jacobian.T @ jacobian, jacobian
+        return np.concatenate(rows)
 
     def widened(self, off: np.ndarray) -> "Problem":
         """Add an error of every length, in λc, in quadrature."""
@@ -491,18 +484,8 @@ class Problem:
         return dataclasses.replace(self, observed=observed, prior_mean=means)
 
 
-def log_density(theta: Float[Array, " p"], problem: Problem) -> Float[Array, ""]:
-    """ln(likelihood × prior) of one θ, traced: for `jax.jit`, `jax.vmap` and `jax.grad`.
-
-    The numbers of −`problem(theta)`, up to rounding; in double precision only under ``jax.enable_x64``. θ is in the order of
-    ``problem.parameters.names``; the bounds are not part of it.
-    """
-    off = theta - jnp.asarray(problem.prior_mean[0])
-    prior = -(problem.prior_weight * off**2).sum() / 2
-    return sum((_log_likelihood(theta, problem, data) for data in problem.observed), prior)
-
-
-def _log_likelihood(theta: Array, problem: Problem, data: Observations) -> Array:
+def _traced(theta: Array, problem: Problem, data: Observations) -> Array:
+    """−ln p of the data of one observable at one θ."""
     relaxed = not any(x.base.any() or x.slope.any() for x in (data.inputs.prestress, data.inputs.threshold_slope))
     sites = _sites(problem, data) if data.observable in READINGS else 0
     options = {"sites": sites} if data.observable in READINGS else {}
@@ -522,7 +505,7 @@ def _log_likelihood(theta: Array, problem: Problem, data: Observations) -> Array
         there = np.nonzero(data.kind == kind)[0]
         if len(there):
             cost = _cost(kind, problem.loss)(mu[there], data.value[0][there], data.sigma[there])
-            total = total - (data.weight[0][there] * cost).sum()
+            total = total + (data.weight[0][there] * cost).sum()
     return total
 
 

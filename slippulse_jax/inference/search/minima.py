@@ -23,23 +23,13 @@ NODES = {1: 257, 2: 33, 3: 13}
 """Nodes of the grid along each parameter, by the number of parameters."""
 SLACK = 16.0
 """Deviance above the least within which minima are reported: four standard errors."""
-MOST_STARTS = 64
-"""Local minima of the grid from which the search starts, the lowest."""
-
-RISEN = 1e-9
-"""Relative rise of the deviance between two points that separates two valleys: far above rounding."""
-
 UNMEASURABLE = 1e-4
 """Relative scatter of the lengths below which it is not an error of measurement."""
-TURNS, SETTLED = 100, 1e-10
-"""Largest number of alternations between fit and scale, and the relative change of the scale at which they end."""
 SAMPLES = 512
 """Points of the Sobol sequence; the best of them become starts."""
 STARTS = 32
 BETWEEN = 0.5
 """Error of a length by interpolation, in σ, above which the fit allows for it."""
-CROWDED = 24
-"""Largest number of different lengths whose peaks are scanned closely on both sides."""
 
 
 class DevianceGrid(NamedTuple):
@@ -58,14 +48,14 @@ class DevianceGrid(NamedTuple):
         return found
 
     def starts(self) -> np.ndarray:
-        """Middle of the lowest floor, then local minima, lowest first; (s, p)."""
+        """Middle of the lowest floor, then the lowest 64 minima; (s, p)."""
         lows = self.lows(range(self.deviance.ndim))
         if not lows.any():
             return self.theta[lows]
         floor = self.theta[self.deviance == self.deviance.min()]
         span = np.ptp(self.theta.reshape(-1, self.deviance.ndim), axis=0)
         middle = np.square((floor - floor.mean(axis=0)) / span).sum(axis=1).argmin()
-        ranked = np.argsort(self.deviance[lows], kind="stable")[:MOST_STARTS]
+        ranked = np.argsort(self.deviance[lows], kind="stable")[:64]
         return np.concatenate([floor[[middle]], self.theta[lows][ranked]])
 
     def beside(self, j: int, at: np.ndarray, count: int) -> np.ndarray:
@@ -109,7 +99,7 @@ class Root:
     @functools.cached_property
     def inputs(self) -> Inputs:
         """Inputs of the model for each measurement, (n,)."""
-        return self.parameters.inputs_at(self.theta)
+        return self.parameters.inputs.at(self.theta)
 
     @property
     def ratio(self) -> np.ndarray:
@@ -151,16 +141,8 @@ class Found(NamedTuple):
 def search(problem: Problem, *, method: Method, max_steps: int, seed: int, extra: np.ndarray | None = None) -> Found:
     """Find the minima within `SLACK` of the least, best first.
 
-    Parameters
-    ----------
-    problem : Problem
-    method : {"lm", "lbfgs", "adam"}
-    max_steps : int
-        Steps allowed each start.
-    seed : int
-        Seed of the starts with more than `SCANNED` parameters.
-    extra : array, shape (s, p), optional
-        Start here, and nowhere else.
+    `method` and `max_steps` are those of `minimise`, `seed` is that of the starts with more than `SCANNED` parameters. With
+    `extra`, (s, p), the search starts there and nowhere else.
     """
     low, high = problem.parameters.low, problem.parameters.high
     grid = grid_of(problem) if extra is None else None
@@ -209,7 +191,7 @@ def between_contacts(problem: Problem, seed: int) -> np.ndarray | None:
     if not (concerned & (widest > BETWEEN * data.sigma)).any():
         return None
     theta = first_look(problem, seed)
-    off = q.front.uncertainty(q.inputs_at(theta))
+    off = q.front.uncertainty(q.inputs.at(theta))
     if off is None:
         return None
     off = np.where(concerned, off * np.exp(q.scales["length"](theta)), 0.0)
@@ -231,20 +213,7 @@ def scaled_to_scatter(problem: Problem, theta: np.ndarray, *, of_lengths: bool) 
     the fit does not use up. Errors of inputs keep the size that is stated for them: a parameter that its prior determines uses
     up none of the data.
 
-    Parameters
-    ----------
-    problem : Problem
-        With the σ stated.
-    theta : array, shape (p,)
-    of_lengths : bool
-        Scale the errors of lengths alone, instead of those of all data.
-
-    Returns
-    -------
-    problem : Problem
-        With σ of that size.
-    found : Found
-        The fit, and the size of σ.
+    The problem has the σ stated, and is returned with σ of that size, those of all data or `of_lengths` alone; with the fit.
     """
     q, factor, turns = problem.parameters, 1.0, 0
     widest = float(np.max(problem.lengths.sigma / problem.lengths.value[0]))
@@ -257,7 +226,7 @@ def scaled_to_scatter(problem: Problem, theta: np.ndarray, *, of_lengths: bool) 
         change = np.sqrt(deviance / dof / EXPECTED[problem.loss]) if dof > 1e-6 else 0.0
         turns += 1
         # a front that never stops has no fit
-        if not np.isfinite(deviance) or abs(change - 1) < SETTLED or turns == TURNS:
+        if not np.isfinite(deviance) or abs(change - 1) < 1e-10 or turns == 100:
             return sized, found._replace(scatter=factor, scatter_dof=dof)
         if factor * change * widest < UNMEASURABLE:
             least = UNMEASURABLE / widest
@@ -274,7 +243,7 @@ def _left_over(problem: Problem, theta: np.ndarray, of_lengths: bool) -> tuple[f
     for data in scaled:
         mu = problem.predict(theta, data.observable)
         deviance += 2 * float(costs(mu, data, np.zeros(1, int), problem.loss)[0].sum())
-    jacobian = problem.information(theta)[1] * (problem.parameters.high - problem.parameters.low)
+    jacobian = problem.jacobian(theta) * (problem.parameters.high - problem.parameters.low)
     own = jacobian[: sum(len(data.rows) for data in scaled)]  # the lengths come first, priors last
     used = np.trace(np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12, hermitian=True) @ (own.T @ own))
     return deviance, len(own) - float(used)
@@ -364,7 +333,7 @@ def _tops(problem: Problem) -> np.ndarray:
     """
     q, data = problem.parameters, problem.lengths
     _, first = np.unique(data.rows, return_index=True)
-    if len(first) > CROWDED or q.free[0].name not in STIFFNESSES:
+    if len(first) > 24 or q.free[0].name not in STIFFNESSES:
         return np.empty(0)
     theta, inputs = q.low, q.inputs.take(data.measurement[first])
     _, ratio = q.longest(theta, inputs)
@@ -393,7 +362,7 @@ def same(point: np.ndarray, deviance: float, one: Root, problem: Problem) -> boo
     if problem.p == 1 and not problem.gauged:
         between = 2 * float(problem((point + one.theta)[None] / 2).value[0])
         higher = max(deviance, one.deviance)
-        return between <= higher + RISEN * max(1, abs(higher))
+        return between <= higher + 1e-9 * max(1, abs(higher))  # far above rounding
     off = point - one.theta
     if np.all(np.abs(off) <= 1e-4 * (problem.parameters.high - problem.parameters.low)):
         return True
@@ -403,8 +372,8 @@ def same(point: np.ndarray, deviance: float, one: Root, problem: Problem) -> boo
 
 def describe(problem: Problem, theta: np.ndarray, deviance: float) -> Root:
     """Covariance and share of the response at a minimum."""
-    at = problem(theta[None], order=2)
-    information = problem.information(theta)[0]
+    at, jacobian = problem(theta[None], order=2), problem.jacobian(theta)
+    information = jacobian.T @ jacobian
     reach = problem.parameters.high - problem.parameters.low
     singular = undetermined_axes(information * np.outer(reach, reach))
     # a prior as wide as the range searched makes the inverse exist without changing what the data determine

@@ -25,10 +25,9 @@ ADAM_STEPS = 20  # of optax.adam for each one allowed
 PROMISING, PATIENCE = 8.0, 5  # half the deviance above the least of starts that go on, and for how many times the steps
 BLURS, BLURRED = (1.0, 0.1, 0.01), 1e-2
 """Blurs, in λc, through which the edges of counts are sharpened, and the Newton decrement at which each is left."""
-FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e12
 
 
-Objective = Callable[[np.ndarray, np.ndarray, int], Evaluation]
+Target = Callable[[np.ndarray, np.ndarray, int], Evaluation]
 """Function to minimise: of points (B, p), the replicate of each (B,), and the order of the derivatives wanted."""
 
 
@@ -50,7 +49,7 @@ class Descents(NamedTuple):
 
 
 def minimise(
-    objective: Objective,
+    objective: Target,
     start: np.ndarray,
     low: np.ndarray,
     high: np.ndarray,
@@ -117,7 +116,7 @@ def descend(problem: Problem, start: np.ndarray, low: np.ndarray, high: np.ndarr
 
 
 def _levenberg_marquardt(
-    objective: Objective,
+    objective: Target,
     theta: np.ndarray,
     low: np.ndarray,
     high: np.ndarray,
@@ -130,7 +129,7 @@ def _levenberg_marquardt(
 ) -> Descents:
     """Take damped steps, each lane with its own damping (Moré)."""
     value, gradient, metric = (x.copy() for x in objective(theta, lane, 1)[:3])
-    damping, size, bend = np.full(len(theta), FIRST_DAMPING), np.zeros_like(theta), np.zeros_like(metric)
+    damping, size, bend = np.full(len(theta), 1e-3), np.zeros_like(theta), np.zeros_like(metric)
     ends = np.where(np.isfinite(value), Convergence.NOT_CONVERGED, Convergence.NO_LENGTH)
     work = np.nonzero(np.isfinite(value))[0]
     for count in range(max_steps + 1):
@@ -168,7 +167,7 @@ def _levenberg_marquardt(
         with np.errstate(invalid="ignore"):
             share = gained / np.where(expected > 0, expected, np.inf)
         factor = np.where(accept & (share > 0.75), 0.1, np.where(accept & (share > 0.25), 1.0, np.where(accept, 3.0, 8.0)))
-        damping[work] = np.clip(damping[work] * factor, LEAST_DAMPING, MOST_DAMPING)
+        damping[work] = np.clip(damping[work] * factor, 1e-9, 1e12)
         moved = work[accept]
         theta[moved], value[moved] = trial[accept], tried.value[accept]
         gradient[moved] = tried.gradient[accept]
