@@ -347,7 +347,7 @@ def log_likelihood(y: np.ndarray, length: np.ndarray, sigma: float, kind: Length
     """
     stops = np.isfinite(y)
     found = np.where(np.isinf(length), 0.0, -np.inf) + np.zeros((len(y), 1))
-    found[stops] = data_log_density(length, y[stops, None], sigma, kind, exact=True)
+    found[stops] = data_log_density(length, y[stops, None], sigma, kind)
     return found
 
 

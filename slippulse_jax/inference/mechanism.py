@@ -124,15 +124,13 @@ def _differences(
 ) -> tuple[np.ndarray, float]:
     """Simulated deviances of pulse less crack, and the share not converged."""
     drawn = simulated(truth, count, rng)
-    values = {data.observable: data.value for data in drawn.observed}
-    weights = {data.observable: data.weight for data in drawn.observed}
-    deviance, lost = [], []
+    every, deviance, lost = [(data.value, data.weight) for data in drawn.observed], [], []
     for result in (pulse, crack):
         means = np.repeat(result.problem.prior_mean, count, axis=0)
         for j, name in enumerate(result.parameters.names):
             if name in truth.parameters.names:
                 means[:, j] = drawn.prior_mean[:, truth.parameters.index(name)]
-        _, found, converged = refitted(result, result.problem.with_replicates(values, weights, means), count)
+        _, found, converged = refitted(result, result.problem.with_replicates(every, means), count)
         if not np.isfinite(found).all():
             raise NotConverged("pulse or crack: simulated measurements that no front near the fits gives; never seen")
         deviance.append(found)

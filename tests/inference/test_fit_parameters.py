@@ -126,7 +126,7 @@ def test_parts_of_a_sum_of_squares():
     )
     # other numbers measured, in lane 1
     lengths = np.stack([m.length, m.length + 1])
-    both = problem.with_replicates({"length": lengths}, {"length": np.ones((2, 3))}, np.array([[0, 0.3], [0, 0.28]]))
+    both = problem.with_replicates([(lengths, np.ones((2, 3)))], np.array([[0, 0.3], [0, 0.28]]))
     other = (mu[0] - lengths[1]) / m.length_sigma
     values = both(np.stack([theta, theta]), lane=np.array([0, 1])).value
     np.testing.assert_allclose(values, [at.value[0], ((other**2).sum() + 1.5**2) / 2], rtol=1e-12)

@@ -206,7 +206,8 @@ class ParameterSet:
     def common_ratio(self, theta: np.ndarray) -> float | None:
         """k/K at θ where one is fitted for all measurements."""
         fitted = any("stiffness" in one.label for one in self.free if not one.nuisance)
-        return self.inputs.at(theta).common_ratio if fitted else None
+        ratio = self.inputs.at(theta).ratio
+        return float(ratio[0]) if fitted and np.ptp(ratio) <= 1e-12 * ratio[0] else None
 
 
 class ParameterKind(NamedTuple):
@@ -277,7 +278,8 @@ def parameter_set(
     held: dict[str, float] = {}
     for parameter, label, rows in (*_asked(m, chosen), *_uncertain(m, front), *_arrests(m)):
         name = parameter.name
-        reference, acts = inputs.get(name, _reference(m, name)), _acts(m, name, rows)
+        reference, unit = inputs.get(name, _reference(m, name)), m.metres if name == "offset" else 1
+        acts = {target: size * rows / unit for target, size in PARAMETERS[name].acts.items()}  # of a unit of θ
         if parameter.value is not None:
             held[name] = parameter.value
             shift = (np.log(parameter.value) if PARAMETERS[name].log else parameter.value) - reference
@@ -327,11 +329,6 @@ def _asked(m: Measurements, chosen: Sequence[Parameter]) -> Iterator[tuple[Param
             if parameter.value is None and given is not None and np.ptp(given[rows]) > 0:
                 raise ValueError(f"parameter {label}: the measurements state more than one value of it; one must be shared")
             yield parameter, label, rows
-
-
-def _acts(m: Measurements, name: str, rows: np.ndarray) -> dict[str, np.ndarray]:
-    """What a unit of θ adds to inputs and scales, by measurement."""
-    return {target: size * rows / (m.metres if name == "offset" else 1) for target, size in PARAMETERS[name].acts.items()}
 
 
 def stated(m: Measurements, name: str, error: str = "") -> np.ndarray | None:

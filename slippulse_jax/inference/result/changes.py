@@ -18,8 +18,8 @@ from slippulse_jax.inference.model.fronts import BlockEvent, Front, front_for, f
 from slippulse_jax.inference.model.parameters import HEIGHTS, MODEL_ERROR, STIFFNESSES, Parameter, ParameterSet, parameter_set
 from slippulse_jax.inference.result.verdict import SCATTERED, Identifiability
 from slippulse_jax.inference.search.intervals import LEVELS, Interval
-from slippulse_jax.inference.search.likelihood import IMPROBABLE, Problem, make_problem
-from slippulse_jax.inference.search.minima import between_contacts, ordered, search
+from slippulse_jax.inference.search.likelihood import IMPROBABLE, make_problem
+from slippulse_jax.inference.search.minima import DevianceGrid, between_contacts, ordered, search
 from slippulse_jax.inference.search.minimise import minimise
 from slippulse_jax.inference.table.columns import COLUMNS, IN_LC
 from slippulse_jax.inference.table.measurements import Measurements
@@ -185,8 +185,10 @@ def _again(
             between = None if result.scaled else between_contacts(problem, seed)
             if between is not None:
                 problem = problem.widened(between)
-            # of lengths that are smooth, from every valley over 65 stiffnesses
-            starts = None if changed.front.interpolated else _valleys(problem, _starts(result, changed, 65))
+            starts = None
+            if not changed.front.interpolated:  # its lengths are smooth
+                points = _starts(result, changed, 65)
+                starts = points[DevianceGrid(points, 2 * problem(points).value).lows()]
             found = search(problem, method="lm", max_steps=MOST_STEPS, seed=seed, extra=starts)
             roots = ordered(problem, found.minima)
             first = next(iter(roots), found)
@@ -468,12 +470,6 @@ def _with(result: "FitResult", wanted: list[Parameter]) -> tuple[float, int]:
     return 2 * float(value.min()), problem.p - result.problem.p
 
 
-def _valleys(problem: Problem, points: np.ndarray) -> np.ndarray:
-    """Points at which a finite deviance is below that beside them."""
-    value = np.concatenate([[np.inf], problem(points).value, [np.inf]])
-    return points[(value[1:-1] <= value[:-2]) & (value[1:-1] <= value[2:]) & np.isfinite(value[1:-1])]
-
-
 def _outliers(result: "FitResult") -> Iterator[tuple[float, int, str]]:
     """Try to leave out the measurement that fits worst; as `_richer`."""
     m, problem, q = result.measurements, result.problem, result.parameters
@@ -481,9 +477,9 @@ def _outliers(result: "FitResult") -> Iterator[tuple[float, int, str]]:
         return
     suspects = np.argsort(-np.abs(result.residuals))[:5]
     count = len(suspects)
-    weights = {data.observable: (data.measurement != suspects[:, None]).astype(float) for data in problem.observed}
-    values = {data.observable: np.repeat(data.value, count, axis=0) for data in problem.observed}
-    without: Problem = problem.with_replicates(values, weights, np.repeat(problem.prior_mean, count, axis=0))
+    kept = [(data.measurement != suspects[:, None]).astype(float) for data in problem.observed]
+    every = [(np.repeat(data.value, count, axis=0), weight) for data, weight in zip(problem.observed, kept, strict=True)]
+    without = problem.with_replicates(every, np.repeat(problem.prior_mean, count, axis=0))
     starts = _starts(result, q)
     lane = np.repeat(np.arange(count), len(starts))
     value = minimise(without, np.tile(starts, (count, 1)), q.low, q.high, lane=lane, max_steps=MOST_STEPS).value

@@ -369,7 +369,7 @@ def _quality(result: "FitResult") -> str:
         return data  # the verdict has the rest; counts and limits that hold cost nothing
     misfit = f"{problem.named_deviance} {format_number(round(result.misfit, 9), 3)}"  # no rounding errors
     if result.p_value is not None:
-        fits = f"{misfit}{problem.of_inputs(result.theta)}{problem.tested(result.p_value, result.testable_dof)}"
+        fits = f"{misfit}{problem.from_priors(result.theta)}{problem.tested(result.p_value, result.testable_dof)}"
     elif result.dof > 0:
         fits = f"{misfit}, {degrees} of freedom"
     else:
@@ -426,7 +426,7 @@ def _roots(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
     """Tabulate the points that fit, if several, with their own errors."""
     if not result.points:
         return []
-    rows = [[*(shown[name].symbol for name in result.roots[0].values), "chi-squared" if result.problem.plain else "deviance"]]
+    rows = [[*(shown[name].symbol for name in result.roots[0].values), result.problem.named_deviance]]
     for root in result.roots[:MOST_ROOTS]:
         again = "; the edge contact breaks again before the front stops" if root.rebreaks else ""
         values = [value_with_error(value, root.stderrs[name]) for name, value in root.values.items()]

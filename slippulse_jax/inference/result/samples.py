@@ -229,7 +229,7 @@ def refitted(result: "FitResult", problem: Problem, count: int) -> tuple[np.ndar
 def simulated(result: "FitResult", count: int, rng: np.random.Generator) -> Problem:
     """Draw measurements from the fit, and inputs from their priors."""
     problem, q = result.problem, result.parameters
-    values, weights = {}, {}
+    every = []
     for data in problem.observed:
         mu = problem.predict(result.theta, data.observable)[0]
         sigma = data.sigma
@@ -238,21 +238,19 @@ def simulated(result: "FitResult", count: int, rng: np.random.Generator) -> Prob
         drawn = mu + sigma * noise
         whole, beyond = data.kind == "whole", data.kind == "at_least"
         drawn = np.where(whole, np.maximum(np.ceil(drawn), 1), drawn)
-        values[data.observable] = np.where(beyond, data.value[0], drawn)
-        weights[data.observable] = np.ones((count, len(mu)))
+        every.append((np.where(beyond, data.value[0], drawn), np.ones((count, len(mu)))))
     spread = np.array([one.prior_sigma for one in q.free])
     means = np.repeat(problem.prior_mean, count, axis=0)
     known = np.isfinite(spread)
     means[:, known] = result.theta[known] + spread[known] * rng.standard_normal((count, int(known.sum())))
-    return problem.with_replicates(values, weights, means)
+    return problem.with_replicates(every, means)
 
 
 def _resampled(result: "FitResult", count: int, rng: np.random.Generator) -> Problem:
     problem, n = result.problem, len(result.measurements)
     often = rng.multinomial(n, np.full(n, 1 / n), size=count).astype(float)
-    values = {data.observable: np.repeat(data.value, count, axis=0) for data in problem.observed}
-    weights = {data.observable: often[:, data.measurement] for data in problem.observed}
-    return problem.with_replicates(values, weights, np.repeat(problem.prior_mean, count, axis=0))
+    every = [(np.repeat(data.value, count, axis=0), often[:, data.measurement]) for data in problem.observed]
+    return problem.with_replicates(every, np.repeat(problem.prior_mean, count, axis=0))
 
 
 def posterior(

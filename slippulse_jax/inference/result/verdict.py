@@ -92,7 +92,7 @@ def _of_fit(problem: Problem, found: Found, j: int) -> Iterator[Verdict]:
     if p_value is not None and p_value < IMPROBABLE and not _above_maximum(problem, found):  # of which `_of_range` says more
         at = f" (the best fit lies at its {end} end)" if (end := _end(problem, found.theta, j)) else ""
         misfit = format_number(found.deviance - problem.perfect, 3)
-        told = f"{misfit}{problem.of_inputs(found.theta)}{problem.tested(p_value, dof)}"
+        told = f"{misfit}{problem.from_priors(found.theta)}{problem.tested(p_value, dof)}"
         yield Verdict(
             Identifiability.POOR_FIT,
             f"{problem.named_deviance} is {told}: with the stated σ nothing in the range searched{at} gives these "

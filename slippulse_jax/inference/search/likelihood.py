@@ -10,7 +10,7 @@ Constants are left out such that a datum the model meets exactly costs nothing: 
 
 import dataclasses
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache, partial
 from typing import NamedTuple
 
@@ -114,23 +114,21 @@ def _cost(kind: str, loss: Loss) -> Callable[..., Array]:
     return partial(length_cost, loss=loss) if kind == "length" else COSTS[kind]
 
 
-def data_log_density(
-    mu: ArrayLike, value: ArrayLike, sigma: ArrayLike, kind: str = "length", exact: bool = False
-) -> np.ndarray:
+def data_log_density(mu: ArrayLike, value: ArrayLike, sigma: ArrayLike, kind: str) -> np.ndarray:
     """Log density of data given their predictions, without the constants.
 
     Arrays that broadcast, NumPy float64; predictions are inf where the front never stops. A count with σ = 0 is its interval
-    itself if `exact` (`EXACT`), else one blurred as in a fit (`SHARPEST`).
+    itself, and not one blurred as in a fit.
     """
     numbers = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (mu, value, sigma)))
-    cost = over_lanes(_values(kind, exact and kind == "whole"), [x.ravel() for x in numbers], LAYOUT)[0]
+    cost = over_lanes(_values(kind), [x.ravel() for x in numbers], LAYOUT)[0]
     return -cost.reshape(numbers[0].shape)
 
 
 @cache
-def _values(kind: str, exact: bool) -> Kernel:
+def _values(kind: str) -> Kernel:
     """Cost of data (μ, value, σ)."""
-    cost = partial(count_cost, sharpest=EXACT) if exact else COSTS[kind]
+    cost = partial(count_cost, sharpest=EXACT) if kind == "whole" else COSTS[kind]
     return lambda columns: (jax.vmap(cost)(*columns),)
 
 
@@ -380,7 +378,7 @@ class Problem:
         """``chi-squared``, where it is one."""
         return "chi-squared" if self.plain else "deviance"
 
-    def of_inputs(self, theta: np.ndarray) -> str:
+    def from_priors(self, theta: np.ndarray) -> str:
         """State the part of the deviance from fitted inputs and priors.
 
         It is that of values off their means, and no residual; empty where there is none.
@@ -476,11 +474,10 @@ class Problem:
         blunt = data._replace(sigma=np.where(sharp, width, data.sigma))
         return dataclasses.replace(self, observed=(blunt, *self.observed[1:])) if sharp.any() else self
 
-    def with_replicates(self, values: dict[str, np.ndarray], weights: dict[str, np.ndarray], means: np.ndarray) -> "Problem":
-        """Replace data, (R, n) by observable, and prior means, (R, p)."""
-        observed = tuple(
-            data._replace(value=values[data.observable], weight=weights[data.observable]) for data in self.observed
-        )
+    def with_replicates(self, drawn: Iterable[tuple[np.ndarray, np.ndarray]], means: np.ndarray) -> "Problem":
+        """Replace values and weights, (R, n) each, and prior means, (R, p)."""
+        both = zip(self.observed, drawn, strict=True)
+        observed = tuple(data._replace(value=value, weight=weight) for data, (value, weight) in both)
         return dataclasses.replace(self, observed=observed, prior_mean=means)
 
 

@@ -33,12 +33,12 @@ BETWEEN = 0.5
 
 
 class DevianceGrid(NamedTuple):
-    """Deviance on a grid over the range searched."""
+    """Deviance on a grid, of one axis or several."""
 
     theta: np.ndarray  # (g_1, …, g_p, p)
     deviance: np.ndarray  # (g_1, …, g_p); inf where a front that was measured never stops
 
-    def lows(self, axes: Iterable[int]) -> np.ndarray:
+    def lows(self, axes: Iterable[int] = (0,)) -> np.ndarray:
         """Mark nodes lower than their neighbours, of equal ones the first."""
         found = np.isfinite(self.deviance)
         for axis in axes:
@@ -49,14 +49,14 @@ class DevianceGrid(NamedTuple):
 
     def starts(self) -> np.ndarray:
         """Middle of the lowest floor, then the lowest 64 minima; (s, p)."""
-        lows = self.lows(range(self.deviance.ndim))
-        if not lows.any():
-            return self.theta[lows]
+        low = self.lows(range(self.deviance.ndim))
+        if not low.any():
+            return self.theta[low]
         floor = self.theta[self.deviance == self.deviance.min()]
         span = np.ptp(self.theta.reshape(-1, self.deviance.ndim), axis=0)
         middle = np.square((floor - floor.mean(axis=0)) / span).sum(axis=1).argmin()
-        ranked = np.argsort(self.deviance[lows], kind="stable")[:64]
-        return np.concatenate([floor[[middle]], self.theta[lows][ranked]])
+        ranked = np.argsort(self.deviance[low], kind="stable")[:64]
+        return np.concatenate([floor[[middle]], self.theta[low][ranked]])
 
     def beside(self, j: int, at: np.ndarray, count: int) -> np.ndarray:
         """Lowest minima over the others next to θ_j; (len(at), count, p)."""
@@ -144,10 +144,9 @@ def search(problem: Problem, *, method: Method, max_steps: int, seed: int, extra
     `method` and `max_steps` are those of `minimise`, `seed` is that of the starts with more than `SCANNED` parameters. With
     `extra`, (s, p), the search starts there and nowhere else.
     """
-    low, high = problem.parameters.low, problem.parameters.high
     grid = grid_of(problem) if extra is None else None
     starts = _starts(problem, grid, seed) if extra is None else extra
-    ends = descend(problem, starts, low, high, method=method, max_steps=max_steps)
+    ends = descend(problem, starts, method=method, max_steps=max_steps)
     near = ends.value <= ends.value.min() + SLACK / 2
     good = np.isin(ends.convergence, (Convergence.CONVERGED, Convergence.FLAT)) & np.isfinite(ends.value) & near
     order = np.nonzero(good)[0][np.argsort(ends.value[good], kind="stable")]

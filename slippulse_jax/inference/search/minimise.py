@@ -97,11 +97,12 @@ def minimise(
     return _levenberg_marquardt(objective, start, low, high, held, lane, tolerance, max_steps, enough=enough)
 
 
-def descend(problem: Problem, start: np.ndarray, low: np.ndarray, high: np.ndarray, **options: Any) -> Descents:
+def descend(problem: Problem, start: np.ndarray, **options: Any) -> Descents:
     """Minimise a deviance, through ever sharper counts and limits.
 
     With several parameters: no step follows the edges of counts.
     """
+    low, high = problem.parameters.low, problem.parameters.high
     sharp = problem.p > 1 and problem.blurred(BLURS[0]) is not problem
     for blur in BLURS if sharp else ():
         first = options | {"method": "lm", "max_steps": GAUSS_NEWTON_STEPS - 1, "tolerance": BLURRED}
