@@ -35,12 +35,13 @@ def reborn(slider: sp.Slider, strength: float) -> np.ndarray:
 def row(name: str, b: float, length: np.ndarray, stiffness: float, replicates: int, rng: np.random.Generator) -> str:
     """Both fits to the same lengths."""
     m = sp.Measurements(HEIGHT, POISSON, length, SIGMA * length)
-    drawn = {"length": length * (1 + SIGMA * rng.standard_normal((replicates, len(HEIGHT))))}
+    drawn = length * (1 + SIGMA * rng.standard_normal((replicates, len(HEIGHT))))
     cells = []
     for event, free in (("domino", ["stiffness"]), ("crack", ["stiffness", "friction"])):
         fitted = sp.fit(m, free, event=event, intervals="profile")  # pyright: ignore[reportArgumentType]
-        weights, means = np.ones_like(drawn["length"]), np.repeat(fitted.problem.prior_mean, replicates, axis=0)
-        _, deviance, _ = refitted(fitted, fitted.problem.with_replicates(drawn, {"length": weights}, means), replicates)
+        means = np.repeat(fitted.problem.prior_mean, replicates, axis=0)
+        problem = fitted.problem.with_replicates([(drawn, np.ones_like(drawn))], means)
+        _, deviance, _ = refitted(fitted, problem, replicates)
         rejected = float((chdtrc(fitted.dof, deviance) < LEVEL).mean())
         cells += [f"{fitted.deviance:.2f}", f"{fitted.values['stiffness'] / stiffness:.2f}"]
         cells += [f"{fitted.values['friction']:.2f}"] if event == "crack" else []

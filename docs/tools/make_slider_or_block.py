@@ -14,17 +14,16 @@ from matplotlib.figure import Figure
 import slippulse_jax as sp
 from slippulse_jax.files import write_atomically
 from slippulse_jax.inference.model.family import Families
-from slippulse_jax.inference.model.fronts import pushed
 from slippulse_jax.inference.model.inputs import Inputs
 
 DOCS = Path(__file__).resolve().parents[1]
 POISSON = 0.3
 B = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
 PUSHES = {
-    "above 0.1 H": (0.1, np.nan, "displacement"),
-    "above 0.25 H": (0.25, np.nan, "displacement"),
-    "above 0.5 H": (0.5, np.nan, "displacement"),
-    "above 0.75 H": (0.75, np.nan, "displacement"),
+    "above 0.1 H": (0.1, np.inf, "displacement"),
+    "above 0.25 H": (0.25, np.inf, "displacement"),
+    "above 0.5 H": (0.5, np.inf, "displacement"),
+    "above 0.75 H": (0.75, np.inf, "displacement"),
     "0.1 H around 0.1 H": (0.1, 0.1, "displacement"),
     "0.1 H around 0.25 H": (0.25, 0.1, "displacement"),
     "0.1 H around 0.5 H": (0.5, 0.1, "displacement"),
@@ -32,11 +31,11 @@ PUSHES = {
 }
 
 
-def shares(height: float, b: np.ndarray, push: np.ndarray, width: float = np.nan, control: str = "displacement") -> np.ndarray:
+def shares(height: float, b: np.ndarray, push: np.ndarray, width: float = np.inf, control: str = "displacement") -> np.ndarray:
     """ℓ/H of blocks of these b, pushed at these heights over H."""
     inputs = Inputs.of(np.full(b.shape, height), b / (2 * (1 + POISSON) * height), POISSON)
-    at = pushed(np.full(b.shape, height), push * height, np.full(b.shape, width * height), [control] * len(b))
-    return Families()(inputs.given(**at))[0] / height
+    of_width, force = np.full(b.shape, np.log(width)), np.full(b.shape, float(control == "force"))
+    return Families()(inputs.given(log_push=np.log(push), log_push_width=of_width, push_force=force))[0] / height
 
 
 def bias(height: float, b: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -7,9 +7,10 @@ import click
 
 from slippulse_jax.choices import EventKind
 from slippulse_jax.cli.shared import (
+    VALUES,
     as_json,
     choice,
-    contact_law,
+    contacts_of_block,
     figure_path,
     one_form,
     option,
@@ -17,55 +18,31 @@ from slippulse_jax.cli.shared import (
     push_control,
     refuse,
     save_figure,
-    top_of_block,
 )
 
 if TYPE_CHECKING:
     import numpy as np
 
 
-class Numbers(click.ParamType):
-    """Numbers separated by commas."""
-
-    name = "numbers"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> "np.ndarray":
-        """Convert to an array of floats."""
-        import numpy as np
-
-        if not isinstance(value, str):
-            return value
-        try:
-            return np.array([float(x) for x in value.split(",")])
-        except ValueError:
-            self.fail(f"{value!r}: must be numbers separated by commas, such as 10,25,50", param, ctx)
-
-
 @click.command()
-@click.option("--height", type=Numbers(), metavar="H/λc,…", help="Heights of the available blocks, over λc.")
-@click.option("--sigma", type=Numbers(), metavar="σ/λc,…", help="Standard error of a length, in λc: one, or one per candidate.")
-@click.option("--height-mm", type=Numbers(), metavar="MM,…", help="Heights, in SI form.")
-@click.option("--sigma-mm", type=Numbers(), metavar="MM,…", help="Standard error of a length, in SI form.")
-@click.option("--correlation-length-um", type=Numbers(), metavar="UM,…", help="Correlation length λc, in SI form.")
-@click.option("--young-gpa", type=Numbers(), metavar="GPA,…", help="Young's modulus, in SI form.")
-@click.option("--push-height", type=Numbers(), metavar="h/H,…", help="Heights of the push: the candidates are blocks.")
-@click.option(
-    "--push-width", type=Numbers(), metavar="w/H,…", help="Heights of the pusher; all above --push-height by default."
-)
-@click.option("--push-height-mm", type=Numbers(), metavar="MM,…", help="Heights of the push, in SI form.")
-@click.option("--push-width-mm", type=Numbers(), metavar="MM,…", help="Heights of the pusher, in SI form.")
+@click.option("--height", type=VALUES, metavar="H/λc,…", help="Heights of the available blocks, over λc.")
+@click.option("--sigma", type=VALUES, metavar="σ/λc,…", help="Standard error of a length, in λc: one, or one per candidate.")
+@click.option("--height-mm", type=VALUES, metavar="MM,…", help="Heights, in SI form.")
+@click.option("--sigma-mm", type=VALUES, metavar="MM,…", help="Standard error of a length, in SI form.")
+@click.option("--correlation-length-um", type=VALUES, metavar="UM,…", help="Correlation length λc, in SI form.")
+@click.option("--young-gpa", type=VALUES, metavar="GPA,…", help="Young's modulus, in SI form.")
+@click.option("--push-height", type=VALUES, metavar="h/H,…", help="Heights of the push: the candidates are blocks.")
+@click.option("--push-width", type=VALUES, metavar="w/H,…", help="Heights of the pusher; all above --push-height by default.")
+@click.option("--push-height-mm", type=VALUES, metavar="MM,…", help="Heights of the push, in SI form.")
+@click.option("--push-width-mm", type=VALUES, metavar="MM,…", help="Heights of the pusher, in SI form.")
 @push_control
+@contacts_of_block(VALUES)
+@click.option("--poisson", type=VALUES, required=True, metavar="ν,…", help="Poisson's ratio.")
+@click.option("--prestress", type=VALUES, default="0", show_default=True, metavar="φ,…", help="Prestress in σ_s.")
 @click.option(
-    "--friction", type=Numbers(), metavar="μ,…", help="Friction coefficients of blocks, whose thresholds follow the pressure."
+    "--stiffness", type=VALUES, metavar="K,…", help="Prior stiffness, or its several roots: k/K, or in SI k/λc² in Pa/m."
 )
-@contact_law
-@top_of_block
-@click.option("--poisson", type=Numbers(), required=True, metavar="ν,…", help="Poisson's ratio.")
-@click.option("--prestress", type=Numbers(), default="0", show_default=True, metavar="φ,…", help="Prestress in σ_s.")
-@click.option(
-    "--stiffness", type=Numbers(), metavar="K,…", help="Prior stiffness, or its several roots: k/K, or in SI k/λc² in Pa/m."
-)
-@click.option("--log-sd", type=Numbers(), metavar="SD,…", help="Standard deviation of ln(stiffness), about each root.")
+@click.option("--log-sd", type=VALUES, metavar="SD,…", help="Standard deviation of ln(stiffness), about each root.")
 @click.option("--measured", metavar="LENGTHS.CSV", help="Earlier measurements, as for slippulse fit; they add to the prior.")
 @click.option(
     "--bounds", type=float, nargs=2, metavar="LOW HIGH", help="Range of stiffness with --measured, as for slippulse fit."
@@ -95,9 +72,9 @@ def command(
 ) -> None:
     """Rank candidate experiments by expected information about the interface stiffness.
 
-    Give --height and --sigma, or all of --height-mm, --sigma-mm, --correlation-length-um and --young-gpa: lists separated by
-    commas, of equal lengths or single values, one entry per candidate. Prior knowledge comes from --stiffness with --log-sd,
-    from --measured, or from both.
+    Give --height and --sigma, or all of --height-mm, --sigma-mm, --correlation-length-um and --young-gpa: each a number, a
+    list a,b,c or a range first:last:count[:log], of equal lengths or single values, one entry per candidate. Prior knowledge
+    comes from --stiffness with --log-sd, from --measured, or from both.
     """
     from slippulse_jax.inference.design import design
 
@@ -151,8 +128,8 @@ def _knowledge(
 
     prior = None
     if stiffness is not None and log_sd is not None:
-        if len(log_sd) not in (1, len(stiffness)):
-            raise ValueError(f"--log-sd: {len(log_sd)} values for {len(stiffness)} roots")
+        if log_sd.size not in (1, stiffness.size):
+            raise ValueError(f"--log-sd: {log_sd.size} values for {stiffness.size} roots")
         prior = Knowledge.lognormal(stiffness, log_sd, in_si=in_si)
         prior = dataclasses.replace(prior, event=event or prior.event)
     if measured is None:

@@ -176,6 +176,8 @@ def _check(options: dict[str, Any]) -> None:
 
 def _with_options(request: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:
     """Add the options to the request."""
+    from slippulse_jax.inference.result.record import SETTINGS
+
     parameters = {name: dict(settings) for name, settings in request.get("parameters", {}).items()}
     for name in options["free"]:
         parameters.setdefault(name, {})
@@ -190,6 +192,5 @@ def _with_options(request: dict[str, Any], options: dict[str, Any]) -> dict[str,
             parameters.setdefault(name, {})[key] = values
     for name in options["each_specimen"]:
         parameters.setdefault(name, {})["each"] = "specimen"
-    names = ("loss", "sigma", "method", "seed", "intervals", "event", "body")
-    settings = {name: options[name] for name in names if options[name] is not None}
+    settings = {name: options[name] for name in SETTINGS if options.get(name) is not None}
     return {**request, **settings, "parameters": parameters}

@@ -1,23 +1,19 @@
 """``slippulse length``."""
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from slippulse_jax.cli.shared import (
-    BadInput,
     as_json,
-    contact_law,
+    contacts_of_block,
     one_form,
     print_json,
     push_control,
     refuse,
     right_end,
     slider_options,
-    top_of_block,
 )
 
 if TYPE_CHECKING:
@@ -47,12 +43,7 @@ UNPRESSED = {"normal_stiffness": None, "friction": None, "contact_law": "amonton
 )
 @click.option("--push-width", type=float, metavar="w/H", help="Height of the pusher itself.")
 @push_control
-@click.option(
-    "--friction", type=float, metavar="μ", help="Friction coefficient of a block, whose thresholds follow the pressure."
-)
-@click.option("--normal-stiffness", type=float, metavar="k_n/k", help="Of a block; 1.2 by default with --friction.")
-@contact_law
-@top_of_block
+@contacts_of_block(float)
 @as_json
 def command(
     poisson: float,
@@ -91,16 +82,19 @@ def command(
         if given_too := [name for name, value in ends.items() if value is not None]:
             raise click.UsageError(f"{given_too[0]}: a block that is pushed at a height is half-infinite, and its edge is held")
         length = None
-    with jax.enable_x64(True), _bad_input():
+    with jax.enable_x64(True):
         from slippulse_jax.slider import Slider
 
-        slider = (Slider if "height" in form and "stiffness" in form else Slider.from_material)(**form, poisson=poisson)
-        asked = {"height": float(slider.height), "stiffness": float(slider.stiffness), "poisson": poisson}
-        if push_height is None:
-            result, text = asked | _of_slider(slider, right, length, machine), _text
-        else:
-            push = {"push_height": push_height, "push_width": push_width, "push_control": push_control or "displacement"}
-            result, text = asked | _of_block(slider, push, pressed), _block_text
+        try:
+            slider = (Slider if "height" in form and "stiffness" in form else Slider.from_material)(**form, poisson=poisson)
+            asked = {"height": float(slider.height), "stiffness": float(slider.stiffness), "poisson": poisson}
+            if push_height is None:
+                result, text = asked | _of_slider(slider, right, length, machine), _text
+            else:
+                push = {"push_height": push_height, "push_width": push_width, "push_control": push_control or "displacement"}
+                result, text = asked | _of_block(slider, push, pressed), _block_text
+        except ValueError as error:
+            refuse(error)
     if "correlation_length" in form:
         result["length_mm"] = result["length"] * form["correlation_length"] * 1e3
     if as_json:
@@ -118,15 +112,6 @@ def _in_sites(block_length_mm: float, sites: int | None, correlation_length_um: 
     return block_length_mm / (correlation_length_um * 1e-3)
 
 
-@contextmanager
-def _bad_input() -> Iterator[None]:
-    """Exit with status 2 where a number is outside its domain."""
-    try:
-        yield
-    except ValueError as error:
-        refuse(error)
-
-
 def _of_slider(slider: "Slider", right: Any, sites: float | None, machine: float | None) -> dict[str, Any]:
     import jax
 
@@ -142,7 +127,7 @@ def _of_slider(slider: "Slider", right: Any, sites: float | None, machine: float
     if status is Outcome.LIMIT:
         raise NotConverged(f"{status.message}; max_contacts = {DEFAULT_MAX_CONTACTS}")
     if status is Outcome.INVALID:
-        raise BadInput(status.message)
+        refuse(status.message)
     return {
         "right": right,
         "sites": sites,

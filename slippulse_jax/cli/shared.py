@@ -16,6 +16,7 @@ from slippulse_jax.choices import ContactLaw, Control, RightEnd, Top
 from slippulse_jax.files import FIGURE_FORMATS, plain, shortened
 
 if TYPE_CHECKING:
+    import numpy as np
     from matplotlib.figure import Figure
 
 FAILURE, BAD_INPUT, NOT_CONVERGED, INCOMPLETE, INTERRUPTED = 1, 2, 3, 4, 130
@@ -24,36 +25,85 @@ FAILURE, BAD_INPUT, NOT_CONVERGED, INCOMPLETE, INTERRUPTED = 1, 2, 3, 4, 130
 as_json = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 
 
-def choice(name: str, of: Any, text: str, **options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+Option = Callable[[Callable[..., Any]], Callable[..., Any]]
+"""Decorator of a command."""
+
+
+def choice(name: str, of: Any, text: str, **options: Any) -> Option:
     """Option that takes one of the values of a ``Literal``."""
     return click.option(name, type=click.Choice(get_args(of)), help=text, **options)
 
 
 right_end = choice("--right", RightEnd, "Right end of the chain.", default="semi-infinite", show_default=True)
 push_control = choice("--push-control", Control, "What is held while an event runs; the displacement by default.")
-contact_law = choice(
-    "--contact-law",
-    ContactLaw,
-    "What follows the pressure with --friction: thresholds, or thresholds and stiffnesses.",
-    default="amontons",
-)
-top_of_block = choice("--top", Top, "Whether the top of a block may tilt.", default="free")
 
 
-def slider_options(*, required: bool) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Options of one slider in λc, `required` or not."""
+class Values(click.ParamType):
+    """A number, a list ``a,b,c``, or a range ``first:last:count[:log]``."""
+
+    name = "values"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> "np.ndarray":
+        """Array of shape () or (n,)."""
+        import numpy as np
+
+        parts = str(value).split(":")
+        try:
+            if len(parts) == 1:
+                numbers = [float(x) for x in parts[0].split(",")]
+                return np.array(numbers[0] if len(numbers) == 1 else numbers)
+            first, last, count = float(parts[0]), float(parts[1]), int(parts[2])
+            if count > MOST_VALUES:
+                self.fail(f"{value!r}: more than {MOST_VALUES} values", param, ctx)
+            if parts[3:] == ["log"] and min(first, last) <= 0:
+                self.fail(f"{value!r}: even steps of the logarithm need both ends above 0", param, ctx)
+            if count < 1 or parts[3:] not in ([], ["log"]):
+                raise ValueError
+        except (ValueError, IndexError):
+            self.fail(f"{value!r} is not a number, a list a,b,c or a range first:last:count[:log]", param, ctx)
+        return np.geomspace(first, last, count) if parts[3:] else np.linspace(first, last, count)
+
+
+MOST_VALUES = 10_000_000
+"""Values of one range."""
+VALUES = Values()
+
+
+def together(*options: Option) -> Option:
+    """Several options as one, listed in this order."""
 
     def add(command: Callable[..., Any]) -> Callable[..., Any]:
-        poisson = click.option("--poisson", type=float, required=True, metavar="ν", help="Poisson's ratio.")
-        stiffness = click.option(
-            "--stiffness", type=float, required=required, metavar="k/K", help="Contact stiffness over bond stiffness K = Eλc."
-        )
-        height = click.option(
-            "--height", type=float, required=required, metavar="H/λc", help="Height of the slider over the correlation length."
-        )
-        return height(stiffness(poisson(command)))
+        for one in reversed(options):
+            command = one(command)
+        return command
 
     return add
+
+
+def contacts_of_block(kind: Any) -> Option:
+    """Options of a block and its contacts; numbers of a `kind`."""
+    law = "What follows the pressure with --friction: thresholds, or thresholds and stiffnesses."
+    return together(
+        click.option(
+            "--friction", type=kind, metavar="μ", help="Friction coefficient of a block, whose thresholds follow the pressure."
+        ),
+        click.option("--normal-stiffness", type=kind, metavar="k_n/k", help="Of a block; 1.2 by default with --friction."),
+        choice("--contact-law", ContactLaw, law, default="amontons"),
+        choice("--top", Top, "Whether the top of a block may tilt.", default="free"),
+    )
+
+
+def slider_options(*, required: bool) -> Option:
+    """Options of one slider in λc, `required` or not."""
+    return together(
+        click.option(
+            "--height", type=float, required=required, metavar="H/λc", help="Height of the slider over the correlation length."
+        ),
+        click.option(
+            "--stiffness", type=float, required=required, metavar="k/K", help="Contact stiffness over bond stiffness K = Eλc."
+        ),
+        click.option("--poisson", type=float, required=True, metavar="ν", help="Poisson's ratio."),
+    )
 
 
 def option(name: str) -> str:
@@ -82,12 +132,6 @@ def one_form(
     return {name.removesuffix(end): given[name] * sizes.get(end, 1.0) for name, end in ends.items()}
 
 
-class BadInput(click.ClickException):
-    """Invalid input; exit status 2."""
-
-    exit_code = BAD_INPUT
-
-
 last_words: list[str] = []
 """Lines printed when the command is interrupted; a command adds its own."""
 
@@ -111,19 +155,17 @@ def leave_when_interrupted() -> None:
 
 def print_json(content: dict[str, Any]) -> None:
     """Print strict JSON, with null for numbers that are not finite."""
-    click.echo(json.dumps(plain(content), indent=2, ensure_ascii=not prints_unicode(), allow_nan=False))
+    every_character = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().startswith("utf")
+    click.echo(json.dumps(plain(content), indent=2, ensure_ascii=not every_character, allow_nan=False))
 
 
-def prints_unicode() -> bool:
-    """Whether stdout takes every character."""
-    return (getattr(sys.stdout, "encoding", None) or "utf-8").lower().startswith("utf")
-
-
-def refuse(error: Exception) -> NoReturn:
-    """Exit with status 2 and the message of a bad input."""
+def refuse(error: Exception | str, status: int = BAD_INPUT) -> NoReturn:
+    """Exit with a message and a status, that of bad input."""
     if isinstance(error, OSError) and error.filename is not None:
-        raise BadInput(f"{error.filename}: {error.strerror}") from None
-    raise BadInput(shortened(str(error))) from None
+        error = f"{error.filename}: {error.strerror}"
+    refused = click.ClickException(shortened(str(error)))
+    refused.exit_code = status  # pyright: ignore[reportAttributeAccessIssue]
+    raise refused from None
 
 
 def output_path(*formats: str) -> Callable[[click.Context, click.Parameter, str | None], Path | None]:

@@ -6,10 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slippulse_jax.choices import Control
 from slippulse_jax.cli.shared import (
     INCOMPLETE,
+    VALUES,
     as_json,
-    contact_law,
+    choice,
+    contacts_of_block,
     figure_path,
     last_words,
     option,
@@ -18,51 +21,10 @@ from slippulse_jax.cli.shared import (
     right_end,
     save_figure,
     table_path,
-    top_of_block,
 )
 
 if TYPE_CHECKING:
-    import numpy as np
     import xarray as xr
-
-
-class Incomplete(click.ClickException):
-    """The store holds only part of the sweep; exit status 4."""
-
-    exit_code = INCOMPLETE
-
-
-MOST_VALUES = 10_000_000
-"""Values of one range."""
-
-
-class Values(click.ParamType):
-    """A number, a list ``a,b,c``, or a range ``first:last:count[:log]``."""
-
-    name = "values"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> "np.ndarray":
-        """Array of shape () or (n,)."""
-        import numpy as np
-
-        parts = str(value).split(":")
-        try:
-            if len(parts) == 1:
-                numbers = [float(x) for x in parts[0].split(",")]
-                return np.array(numbers[0] if len(numbers) == 1 else numbers)
-            first, last, count = float(parts[0]), float(parts[1]), int(parts[2])
-            if count > MOST_VALUES:
-                self.fail(f"{value!r}: more than {MOST_VALUES} values", param, ctx)
-            if parts[3:] == ["log"] and min(first, last) <= 0:
-                self.fail(f"{value!r}: even steps of the logarithm need both ends above 0", param, ctx)
-            if count < 1 or parts[3:] not in ([], ["log"]):
-                raise ValueError
-        except (ValueError, IndexError):
-            self.fail(f"{value!r} is not a number, a list a,b,c or a range first:last:count[:log]", param, ctx)
-        return np.geomspace(first, last, count) if parts[3:] else np.linspace(first, last, count)
-
-
-VALUES = Values()
 
 
 def _pair(ctx: click.Context, parameter: click.Parameter, value: str | None) -> tuple[int, int] | None:
@@ -85,15 +47,8 @@ def _pair(ctx: click.Context, parameter: click.Parameter, value: str | None) -> 
 @click.option("--width", type=VALUES, metavar="w", help="Width of the smooth break rule, for smooth_length.")
 @click.option("--push-height", type=VALUES, metavar="h/H", help="Height of the push, for block_precursor_length.")
 @click.option("--push-width", type=VALUES, metavar="w/H", help="Height of the pusher; all above --push-height by default.")
-@click.option(
-    "--push-control", type=click.Choice(["displacement", "force"]), default="displacement", help="What is held while it breaks."
-)
-@click.option(
-    "--friction", type=VALUES, metavar="μ", help="Friction coefficient of a block, whose thresholds follow the pressure."
-)
-@click.option("--normal-stiffness", type=VALUES, metavar="k_n/k", help="Of a block; 1.2 by default with --friction.")
-@contact_law
-@top_of_block
+@choice("--push-control", Control, "What is held while it breaks.", default="displacement")
+@contacts_of_block(VALUES)
 @click.option("--outputs", default="length,status", show_default=True, metavar="A,B", help="Outputs at each point.")
 @click.option("--points", is_flag=True, help="Take the values together, as points, instead of every combination.")
 @right_end
@@ -161,9 +116,9 @@ def _sweep(store: str | None, **request: Any) -> "xr.Dataset":
     except OSError as error:
         if store is None:
             raise
-        raise Incomplete(f"{error}; {_kept(store)}") from None
+        refuse(f"{error}; {_kept(store)}", INCOMPLETE)
     if not found.attrs["complete"]:
-        raise Incomplete(f"other shares of {store} are not there yet; {_kept(str(store))}")
+        refuse(f"other shares of {store} are not there yet; {_kept(str(store))}", INCOMPLETE)
     return found
 
 

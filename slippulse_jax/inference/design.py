@@ -9,7 +9,7 @@ from jaxtyping import ArrayLike
 from slippulse_jax.block import ContactLaw, Control, Top
 from slippulse_jax.domains import HEIGHT, check_choice, check_domain
 from slippulse_jax.files import plain
-from slippulse_jax.inference.knowledge import Gain, Kind, Knowledge, expected_gain, greedy, moments
+from slippulse_jax.inference.knowledge import Gain, Knowledge, LengthKind, expected_gain, greedy, moments
 from slippulse_jax.inference.model.fronts import front_for
 from slippulse_jax.inference.model.parameters import ParameterSet, parameter_set
 from slippulse_jax.inference.table.measurements import Measurements, numbers
@@ -46,7 +46,7 @@ class Design:
     def breaks_again(self, log_stiffness: np.ndarray) -> np.ndarray:
         """Whether edge contacts break again before the fronts stop; shape (m, c)."""
         q = self.parameters
-        return q.front.breaks_again(q.inputs_at(log_stiffness[:, None]).ravel()).reshape(len(log_stiffness), -1)
+        return q.front.breaks_again(q.inputs.at(log_stiffness[:, None]).ravel()).reshape(len(log_stiffness), -1)
 
     @property
     def ranking(self) -> np.ndarray:
@@ -222,7 +222,7 @@ def design(
     normal_stiffness: ArrayLike | None = None,
     contact_law: ContactLaw = "amontons",
     top: Top = "free",
-    kind: Kind = "length",
+    kind: LengthKind = "length",
     experiments: int = 1,
     seed: int = 0,
 ) -> Design:
@@ -294,7 +294,7 @@ def design(
         raise ValueError("the knowledge is about k/K: it must be areal (in_si=True) where the material is given")
     if not 1 <= experiments <= MOST_EXPERIMENTS:
         raise ValueError(f"experiments = {experiments}: must be from 1 to {MOST_EXPERIMENTS}")
-    q = parameter_set(m, ["stiffness"], front=front_for(body, "full" if body == "block" else knowledge.event))
+    q = parameter_set(m, ["stiffness"], front_for(body, "full" if body == "block" else knowledge.event))
     length = _lengths(q, knowledge.log_stiffness)
     gains = [expected_gain(knowledge, column, s, kind) for column, s in zip(length.T, m.sigma, strict=True)]
     chosen = greedy(knowledge, length, m.sigma, kind, gains, experiments, seed)
@@ -304,7 +304,7 @@ def design(
 
 
 def _lengths(q: ParameterSet, log_stiffness: np.ndarray) -> np.ndarray:
-    return q.front.lengths(q.inputs_at(log_stiffness[:, None]).ravel()).reshape(len(log_stiffness), -1)
+    return q.front.lengths(q.inputs.at(log_stiffness[:, None]).ravel()).reshape(len(log_stiffness), -1)
 
 
 def _candidates(given: dict[str, Any]) -> tuple[np.recarray, Measurements]:
@@ -312,7 +312,7 @@ def _candidates(given: dict[str, Any]) -> tuple[np.recarray, Measurements]:
 
     In the table a condition that is not given is NaN.
     """
-    check_choice("kind", given["kind"], Kind)
+    check_choice("kind", given["kind"], LengthKind)
     if (given["correlation_length"] is None) != (given["young"] is None):
         raise ValueError("correlation_length and young: give both, or neither")
     columns = {name: numbers(x) for name, x in given.items() if x is not None and not isinstance(x, str)}

@@ -40,6 +40,7 @@ from slippulse_jax.inference.search.likelihood import Problem, make_problem
 from slippulse_jax.inference.search.minima import (
     SLACK,
     Curve,
+    DevianceGrid,
     Found,
     Root,
     between_contacts,
@@ -171,7 +172,7 @@ def fit(
     simulated: dict[int, tuple[Intervals, tuple[float, float]]] = {}
     if counts is None and not scaled and to_be_simulated(problem, intervals, found, profiled):
         with _progress(problem) as shown:
-            simulated = calibrated(shown, LEVELS, curves=found.curves, seed=seed)
+            simulated = {j: calibrated(shown, j, curve, seed) for j, curve in found.curves.items()}
     longest, longest_at = problem.parameters.attainable(found.theta)
     # counts at odds are named; the search of such a misfit need not converge
     unconverged = [] if counts else [start for start in found.unconverged if start[0] <= limits[LEVELS[-1]]]
@@ -297,8 +298,10 @@ def _explore(problem: Problem, method: Method, max_steps: int, seed: int) -> Fou
         missed = [
             curve.theta[i]
             for curve in curves.values()
-            for i in _valleys(curve.deviance, deviance + SLACK)
-            if not any(curve.deviance[i] >= root.deviance - 1e-6 and _near(curve, i, root) for root in roots)
+            for i in np.flatnonzero(DevianceGrid(curve.theta, curve.deviance).lows()).tolist()
+            if 0 < i < len(curve.node) - 1
+            and curve.deviance[i] < deviance + SLACK
+            and not any(curve.deviance[i] >= root.deviance - 1e-6 and _near(curve, i, root) for root in roots)
         ]
         missed += _crossed(roots[:MOST_ROOTS])
         before = len(roots)
@@ -318,12 +321,6 @@ def _softer(problem: Problem, stiff: Root, **options: Any) -> list[Root]:
     below = q.low + np.linspace(0, 1, SOFTER)[:-1, None] * (stiff.theta - q.low)
     found = search(problem, extra=np.where(moved, below, stiff.theta), **options).minima if moved.any() else []
     return [root for root in found if not root.rebreaks and problem.accepts(root.theta, root.deviance, stiff.deviance + SLACK)]
-
-
-def _valleys(deviance: np.ndarray, limit: float) -> np.ndarray:
-    """Inner nodes lower than both neighbours and than `limit`."""
-    inner = (deviance[1:-1] < deviance[:-2]) & (deviance[1:-1] <= deviance[2:]) & (deviance[1:-1] < limit)
-    return 1 + np.nonzero(inner)[0]
 
 
 def _crossed(roots: list[Root]) -> list[np.ndarray]:

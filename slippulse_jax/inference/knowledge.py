@@ -30,13 +30,13 @@ from slippulse_jax.inference.model.fronts import front_of
 from slippulse_jax.inference.model.parameters import STIFFNESSES, Parameter, ParameterSet
 from slippulse_jax.inference.search.likelihood import Problem, data_log_density, make_problem
 from slippulse_jax.inference.table.columns import NUMERIC
-from slippulse_jax.inference.table.measurements import MeasurementError, Measurements, held, numbers, table
+from slippulse_jax.inference.table.measurements import MeasurementError, Measurements, converted, numbers, table
 from slippulse_jax.shown import format_number
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result.result import FitResult
 
-Kind = Literal["length", "whole"]
+LengthKind = Literal["length", "whole"]
 
 NODES = 1201  # samples of a grid
 NEGLIGIBLE = 1e-9  # weight, relative to the largest, below which a sample is left out
@@ -78,13 +78,13 @@ class Knowledge:
         If the shapes differ, a value is not finite, or a weight is negative or all are zero.
     """
 
-    log_stiffness: np.ndarray = held(converter=numbers)
-    weight: np.ndarray = held(converter=numbers, default=None)
-    root: np.ndarray = held(converter=np.asarray, default=None)
+    log_stiffness: np.ndarray = converted(converter=numbers)
+    weight: np.ndarray = converted(converter=numbers, default=None)
+    root: np.ndarray = converted(converter=np.asarray, default=None)
     in_si: bool = False
     event: EventKind = "domino"
     body: Body | None = None
-    rebreaks: np.ndarray = held(converter=np.asarray, default=None)
+    rebreaks: np.ndarray = converted(converter=np.asarray, default=None)
 
     def __post_init__(self) -> None:
         check_event(self.event)
@@ -239,7 +239,7 @@ class Knowledge:
 
     def _marked(self, q: ParameterSet, at: Callable[[np.ndarray], np.ndarray]) -> "Knowledge":
         """Find roots where the edge breaks again, by θ `at` ln k."""
-        inputs = q.inputs_at(at(np.log([stiffness for _, stiffness, _ in self.roots])))
+        inputs = q.inputs.at(at(np.log([stiffness for _, stiffness, _ in self.roots])))
         again = q.front.breaks_again(inputs.ravel()).reshape(inputs.poisson.shape).any(axis=1)
         return dataclasses.replace(self, rebreaks=again)
 
@@ -340,18 +340,18 @@ class Gain(NamedTuple):
     told_apart: float  # probability that one root will have a posterior of `SURE` or more
 
 
-def log_likelihood(y: np.ndarray, length: np.ndarray, sigma: float, kind: Kind) -> np.ndarray:
+def log_likelihood(y: np.ndarray, length: np.ndarray, sigma: float, kind: LengthKind) -> np.ndarray:
     """Ln p(y | ℓ) of a fit, without its constant; (n, m).
 
     Of outcomes y of shape (n,), ∞ where the front did not stop, and lengths of shape (m,); σ may be 0 for counts.
     """
     stops = np.isfinite(y)
     found = np.where(np.isinf(length), 0.0, -np.inf) + np.zeros((len(y), 1))
-    found[stops] = data_log_density(length, y[stops, None], sigma, kind, exact=True)
+    found[stops] = data_log_density(length, y[stops, None], sigma, kind)
     return found
 
 
-def outcomes(length: np.ndarray, sigma: float, kind: Kind, step: float = STEP) -> tuple[np.ndarray, np.ndarray]:
+def outcomes(length: np.ndarray, sigma: float, kind: LengthKind, step: float = STEP) -> tuple[np.ndarray, np.ndarray]:
     """Outcomes to sum over, and weights with the density's constant; (n,)."""
     finite = length[np.isfinite(length)]
     y, dy = np.empty(0), np.empty(0)
@@ -369,7 +369,7 @@ def outcomes(length: np.ndarray, sigma: float, kind: Kind, step: float = STEP) -
     return y, dy
 
 
-def expected_gain(known: Knowledge, length: np.ndarray, sigma: float, kind: Kind) -> Gain:
+def expected_gain(known: Knowledge, length: np.ndarray, sigma: float, kind: LengthKind) -> Gain:
     """Gain of one experiment, by quadrature over lengths of shape (m,)."""
     information, *afterwards = _quadrature(known, length, sigma, kind, STEP)
     # every other sample of each root, with the probability of the root
@@ -381,7 +381,9 @@ def expected_gain(known: Knowledge, length: np.ndarray, sigma: float, kind: Kind
     return Gain(information, max(abs(information - other[0]) for other in coarse), *afterwards)
 
 
-def _quadrature(known: Knowledge, length: np.ndarray, sigma: float, kind: Kind, step: float) -> tuple[float, float, float]:
+def _quadrature(
+    known: Knowledge, length: np.ndarray, sigma: float, kind: LengthKind, step: float
+) -> tuple[float, float, float]:
     """Information, later standard deviation of θ, and chance of certainty."""
     y, dy = outcomes(length, sigma, kind, step)
     information = stderr = apart = 0.0
@@ -421,7 +423,7 @@ def draw(known: Knowledge, steps: int, seed: int) -> tuple[np.ndarray, np.ndarra
     return np.minimum(truth, len(known) - 1), ndtri(np.clip(u[:, 1:], 1e-12, 1 - 1e-12))
 
 
-def log_likelihoods(truth: np.ndarray, noise: np.ndarray, length: np.ndarray, sigma: float, kind: Kind) -> np.ndarray:
+def log_likelihoods(truth: np.ndarray, noise: np.ndarray, length: np.ndarray, sigma: float, kind: LengthKind) -> np.ndarray:
     """Ln p(y|θ_j) of each draw's outcome and sample j; (n, m)."""
     y = length[truth] + sigma * noise
     if kind == "length":
@@ -443,7 +445,7 @@ def joint_gain(known: Knowledge, truth: np.ndarray, log_p: np.ndarray) -> Gain:
 
 
 def greedy(
-    known: Knowledge, length: np.ndarray, error: np.ndarray, kind: Kind, gains: list[Gain], experiments: int, seed: int
+    known: Knowledge, length: np.ndarray, error: np.ndarray, kind: LengthKind, gains: list[Gain], experiments: int, seed: int
 ) -> list[tuple[int, Gain]]:
     """Choose experiments one by one, each adding most to those before."""
     best = int(np.argmax([gain.information for gain in gains]))

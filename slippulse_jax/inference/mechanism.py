@@ -102,9 +102,8 @@ def pulse_or_crack(
     options = {"intervals": "profile", "body": "slider", **options}  # none is looked at here
     wanted = wanted_parameters(free, options.pop("bounds", None), options.pop("fixed", None))
     pulse = fit(measurements, [one for one in wanted if one.name != "friction"], seed=seed, **options)
-    of_crack: dict[str, Any] = {"event": "crack"}
     friction = [] if any(one.name == "friction" for one in wanted) else [Parameter("friction")]
-    crack = fit(measurements, [*wanted, *friction], seed=seed, **(options | of_crack))
+    crack = fit(measurements, [*wanted, *friction], seed=seed, **{**options, "event": "crack"})
     rng = np.random.default_rng(seed)
     of_pulses, of_cracks = (_differences(truth, pulse, crack, simulations, rng) for truth in (pulse, crack))
     difference = pulse.deviance - crack.deviance
@@ -125,15 +124,13 @@ def _differences(
 ) -> tuple[np.ndarray, float]:
     """Simulated deviances of pulse less crack, and the share not converged."""
     drawn = simulated(truth, count, rng)
-    values = {data.observable: data.value for data in drawn.observed}
-    weights = {data.observable: data.weight for data in drawn.observed}
-    deviance, lost = [], []
+    every, deviance, lost = [(data.value, data.weight) for data in drawn.observed], [], []
     for result in (pulse, crack):
         means = np.repeat(result.problem.prior_mean, count, axis=0)
         for j, name in enumerate(result.parameters.names):
             if name in truth.parameters.names:
                 means[:, j] = drawn.prior_mean[:, truth.parameters.index(name)]
-        _, found, converged = refitted(result, result.problem.with_replicates(values, weights, means), count)
+        _, found, converged = refitted(result, result.problem.with_replicates(every, means), count)
         if not np.isfinite(found).all():
             raise NotConverged("pulse or crack: simulated measurements that no front near the fits gives; never seen")
         deviance.append(found)

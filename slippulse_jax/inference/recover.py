@@ -510,10 +510,10 @@ def _descend(
     return c, model, max_steps, False
 
 
-def _by_excess(problem: ProfileProblem, middle: np.ndarray, prior: np.ndarray, steps: int = 6) -> np.ndarray:
+def _by_excess(problem: ProfileProblem, middle: np.ndarray, prior: np.ndarray) -> np.ndarray:
     """Start of a search: stress equals threshold at the measured arrests."""
     c = np.zeros(len(middle))
-    for _ in range(steps):
+    for _ in range(6):
         model = problem.linearised(middle + prior @ c)
         noise = problem.sigma * np.maximum(abs(model.slope), 1e-4)
         if not np.isfinite(model.excess).all():

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.text import Text
 
 SUFFIXES = (".gif", ".mp4", ".html")
-MOST_FRAMES = 150
 
 
 def animate(
@@ -84,7 +83,7 @@ def animate(
     if not (fps > 0 and hold >= 0):
         raise ValueError(f"fps = {fps}, hold = {hold}: fps must be positive, hold 0 or more")
     writer = None if path is None else _writer(Path(path), fps)
-    positions = np.unique(np.linspace(0, broken, min(broken + 1, MOST_FRAMES)).round().astype(int))
+    positions = np.unique(np.linspace(0, broken, min(broken + 1, 150)).round().astype(int))
 
     with style.use(dark=dark, figure__figsize=(5.2, 3.9), figure__dpi=100):
         if of_block:

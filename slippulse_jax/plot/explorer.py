@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from slippulse_jax.bodies.modes import ChainFields
 from slippulse_jax.interface import Interface
 from slippulse_jax.plot import style
 from slippulse_jax.plot.labels import AGAIN, DISTANCE, axis_label
-from slippulse_jax.precursor import first_precursor, precursor_length
+from slippulse_jax.precursor import FirstPrecursor, first_precursor, precursor_length
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
@@ -32,23 +33,13 @@ STEPS = {
 
 
 class View(NamedTuple):
-    """Everything drawn, in arrays of fixed shapes.
+    """Everything drawn, in arrays of fixed shapes."""
 
-    Lengths are in λc, displacements in u_s, stresses in σ_s.
-    """
-
-    length: Array
-    slopes: Array  # of the length, in (H/λc, k/K, ν, φ, ε)
-    contacts_broken: Array
-    status: Array
-    load: Array
-    front_stress: Array
-    again: Array  # number of broken contacts at which the edge contact is back at its threshold; −1 where it never is
-    threshold: Array
-    upper: Array
-    layer: Array
-    stress: Array
+    front: FirstPrecursor
+    fields: ChainFields  # with the front at a position
     position: Array
+    slopes: Array  # of the length, in (H/λc, k/K, ν, φ, ε)
+    again: Array  # number of broken contacts at which the edge contact is back at its threshold; −1 where it never is
 
 
 @jax.jit
@@ -67,25 +58,11 @@ def view(theta: Array, position: Array) -> View:
     slider, interface = model(theta)
     front = first_precursor(slider, interface=interface, recorded_sites=SITES, max_contacts=MOST_CONTACTS)
     at = jnp.where(position < 0, front.contacts_broken, position)
-    fields, sites = front.fields_at(at), jnp.arange(SITES)
+    sites = jnp.arange(SITES)
     # repinned behind the front
     again = (jax.vmap(lambda s: front.fields_at(s).stress[0])(sites) >= 1) & (sites > 0)
-    return View(
-        length=length(theta),
-        slopes=jax.jacfwd(length)(theta),
-        contacts_broken=front.contacts_broken,
-        status=front.status,
-        load=front.load,
-        front_stress=front.front_stress,
-        again=jnp.where(
-            again.any() & ((front.status == Outcome.REBREAK) | (front.status == Outcome.RUN_AWAY)), again.argmax(), -1
-        ),
-        threshold=interface.threshold_at(sites.astype(theta.dtype)),
-        upper=fields.upper,
-        layer=fields.layer,
-        stress=fields.stress,
-        position=at,
-    )
+    breaks = again.any() & ((front.status == Outcome.REBREAK) | (front.status == Outcome.RUN_AWAY))
+    return View(front, front.fields_at(at), at, jax.jacfwd(length)(theta), jnp.where(breaks, again.argmax(), -1))
 
 
 def explore(*, dark: bool = False) -> Any:
@@ -139,7 +116,7 @@ def explore(*, dark: bool = False) -> Any:
         show(position.value)
 
     def restart(_: Any = None) -> None:
-        broken = int(show(-1).contacts_broken)
+        broken = int(show(-1).front.contacts_broken)
         position.unobserve(move, "value")
         position.max = play.max = min(broken, SITES) if broken > 0 else SITES
         position.value = position.max
@@ -160,12 +137,12 @@ def explore(*, dark: bool = False) -> Any:
 
 def describe(seen: View) -> str:
     """Format the line of numbers, as HTML."""
-    status = Outcome(int(seen.status))
-    length = f"{float(seen.length):.2f} λ<sub>c</sub>" if np.isfinite(seen.length) else "none: the front does not stop"
-    count = int(seen.contacts_broken) if np.isfinite(seen.length) else "–"
+    front, stops = seen.front, np.isfinite(seen.front.length)
+    length = f"{float(front.length):.2f} λ<sub>c</sub>" if stops else "none: the front does not stop"
+    count = int(front.contacts_broken) if stops else "–"
     return (
         f"<b>length ℓ = {length}</b> &nbsp; whole contacts: {count} &nbsp; "
-        f"load at nucleation: {float(seen.load):.3f} u<sub>s</sub><br><small>{status.message}</small>"
+        f"load at nucleation: {float(front.load):.3f} u<sub>s</sub><br><small>{Outcome(int(front.status)).message}</small>"
     )
 
 
@@ -207,22 +184,23 @@ class Drawing:
 
     def __call__(self, seen: View, theta: np.ndarray) -> bytes:
         """Draw one view, as PNG."""
-        stops = bool(np.isfinite(seen.length))
-        broken = min(int(seen.contacts_broken), SITES) if stops else SITES
+        front, fields, threshold = seen.front, seen.fields, 1 + theta[4] * np.arange(SITES)
+        stops = bool(np.isfinite(front.length))
+        broken = min(int(front.contacts_broken), SITES) if stops else SITES
         shown = int(min(SITES, max(20, 1.7 * broken)))
         for line, y in (
-            (self.upper, seen.upper), (self.layer, seen.layer), (self.carried, seen.stress), (self.held, seen.threshold),
-            (self.tip, seen.front_stress), (self.limit, seen.threshold),
+            (self.upper, fields.upper), (self.layer, fields.layer), (self.carried, fields.stress), (self.held, threshold),
+            (self.tip, front.front_stress), (self.limit, threshold),
         ):  # fmt: skip
             line.set_ydata(y)
         for mark in self.marks:
             mark.set_xdata([float(seen.position) - 0.5] * 2)
-        self.arrest.set_xdata([float(seen.length) if stops else -10] * 2)
+        self.arrest.set_xdata([float(front.length) if stops else -10] * 2)
         self.again.set_xdata([float(seen.again) if seen.again > 0 else -10] * 2)
         for ax, y, least in (
-            (self.fields, seen.upper, 0.1),
-            (self.stress, seen.stress, 1.3),
-            (self.front, seen.front_stress, 1.3),
+            (self.fields, fields.upper, 0.1),
+            (self.stress, fields.stress, 1.3),
+            (self.front, front.front_stress, 1.3),
         ):
             ax.set_xlim(-1, shown)
             ax.set_ylim(0, 1.1 * max(float(np.max(y[:shown])), least))

@@ -42,17 +42,12 @@ if TYPE_CHECKING:
 
 ONE_SIGMA, BAND_LEVEL = LEVELS
 MOST_CURVES = 6
-MOST_PROFILES = 4
-"""Most profiles next to the lengths; more would be too small to read."""
-HELD_BY_PRIOR = 0.5
-"""Standard error, over that of the prior, above which the prior determines a parameter."""
 MARKERS, BEYOND = "osDXv<>P", "^"
 """Of specimens, and of fronts without arrest."""
 MEASURED = "measured"
 """Name of the measurements where no specimens are told apart."""
-TITLE, LINE = 140, 0.13
-"""Most characters per line of a title, and the height of a line in inches."""
-GAUGE_POINTS = 801
+TITLE = 140
+"""Most characters per line of a title."""
 GAUGE_UNITS = {"slip": (1e6, "slip (µm)"), "stress": (1e-6, "contact stress after arrest (MPa)")}
 
 
@@ -63,9 +58,9 @@ def fit(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
     first four are drawn, without those that a prior holds if there are others; `fit_profiles` draws all. The title has the
     result, the material and the specimens. With `ax`, the panels take its place.
     """
-    names = _determined(result)[:MOST_PROFILES]
+    names = _determined(result)[:4]
     heading = [as_written(line, TITLE) for line in title(result, TITLE)]
-    with new_figure(PAGE, max(3.9, 1.5 + 1.4 * len(names)) + LINE * len(heading), ax) as figure:
+    with new_figure(PAGE, max(3.9, 1.5 + 1.4 * len(names)) + 0.13 * len(heading), ax) as figure:
         figure.suptitle("\n".join(heading), x=0.01, ha="left", fontsize="small")
         grid = figure.add_gridspec(2, 2, height_ratios=[4, 1])
         above, right = figure.add_subplot(grid[0, 0]), grid[:, 1]  # where one panel is level with the lengths
@@ -85,11 +80,14 @@ def fit(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
 
 
 def _determined(result: "FitResult") -> list[str]:
-    """Names of requested parameters that no prior holds, else all."""
+    """Names of requested parameters that no prior holds, else all.
+
+    One does if the standard error is more than half of its deviation.
+    """
     q, covariance = result.parameters, result.covariance
     prior = np.array([one.prior_sigma for one in q.free])
     error = np.full(len(prior), np.inf) if covariance is None else np.sqrt(np.diag(covariance))
-    held = np.isfinite(prior) & (error > HELD_BY_PRIOR * prior)
+    held = np.isfinite(prior) & (error > 0.5 * prior)
     return [name for name in result.names if not held[q.index(name)]] or result.names
 
 
@@ -136,17 +134,7 @@ def fit_profiles(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
 def corner(result: "FitResult", samples: Any = None, *, nodes: int = 61, ax: "Axes | None" = None) -> "Figure":
     """Draw the confidence regions of every pair of fitted parameters.
 
-    The regions are those of 68 % and 95 %.
-
-    Parameters
-    ----------
-    result : FitResult
-    samples : Samples or array of θ, shape (n, p), or a dict of these by name, optional
-        Drawn as points; several in colours of their own, with a legend.
-    nodes : int
-        Values of each parameter at which the others are fitted anew.
-    ax : matplotlib.axes.Axes, optional
-        Axes of a grid whose place the panels take.
+    `samples` and `nodes` are those of `confidence_region`. With `ax`, an Axes of a grid, the panels take its place.
     """
     names = result.names
     with new_figure(max(2.4 * len(names), COLUMN), 2.2 * len(names), ax) as figure:
@@ -345,7 +333,7 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
     conditions = sorted(alike(result, result.theta), key=lambda rows: round(float(at[rows[0]]), 9))
     shown = [conditions[i] for i in np.unique(np.linspace(0, len(conditions) - 1, MOST_CURVES).round().astype(int))]
     first = np.array([rows[0] for rows in shown])
-    one = q.inputs_at(result.theta).take(first)
+    one = q.inputs.at(result.theta).take(first)
     differ = _differing(one if along == "height" else one.without("log_push"), [np.full(len(shown), True)])
     largest, highest, any_again = np.zeros_like(theta), 0.0, False
     palette = (*c.data[:-1], c.ink)  # the last two blues look alike
@@ -443,7 +431,7 @@ def profile(result: "FitResult", name: str, *, color: str | None = None, ax: "Ax
     curve, one, q, j = result.curves[name], result.parameters.named(name), result.parameters, result.parameters.index(name)
     limit = 2.2 * result.rise(BAND_LEVEL)
     x, rise = one.value(curve.node), curve.deviance - result.deviance
-    inputs = q.inputs_at(curve.theta).map(lambda each: each[:, q.rows_of(j)])
+    inputs = q.inputs.at(curve.theta).map(lambda each: each[:, q.rows_of(j)])
     again = np.array([each.any() for each in q.front.breaks_again(inputs.ravel()).reshape(inputs.poisson.shape)])
     label = "profile" + " (rejected)" * result.rejected
     dashed_where(ax, x, rise, again, color=color or c.blue, marker=".", ms=3, label=label)
@@ -548,7 +536,7 @@ def _name(one: "Free", axis: "Axis") -> None:
 
 def _curve_names(result: "FitResult", groups: list[tuple[str, np.ndarray]]) -> list[str]:
     """Name the curves by specimen and what differs within one."""
-    one = result.parameters.inputs_at(result.theta).take([rows[0] for _, rows in groups])
+    one = result.parameters.inputs.at(result.theta).take([rows[0] for _, rows in groups])
     specimen = np.array(result.measurements.specimen or ("",) * len(result.measurements))
     owners = [set(specimen[rows]) for _, rows in groups]
     alone = len(groups) > 1 and len(set(specimen)) > 1 and all(len(owner) == 1 for owner in owners)
@@ -593,7 +581,7 @@ def gauge_readings(result: "FitResult", name: str, *, ax: "Axes | None" = None) 
     for color, row in zip(itertools.cycle(colours(ax).data), dict.fromkeys(readings.row[there].tolist()), strict=False):
         own = there & (readings.row == row)
         arrest = length[row] * m.correlation_length[row] if np.isfinite(length[row]) else 0.0
-        x = np.linspace(0, 1.08 * max(readings.position[own].max(), arrest), GAUGE_POINTS)
+        x = np.linspace(0, 1.08 * max(readings.position[own].max(), arrest), 801)
         title = m.label[row] if m.label else m.place(row)
         ax.plot(x * 1e3, result.field(row, name, x) * scale, color=color, label=as_written(title))
         at, read, sigma = readings.position[own] * 1e3, values[own] * scale, errors[own[there]] * scale

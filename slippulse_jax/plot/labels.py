@@ -86,11 +86,7 @@ def printed(unit: str) -> str:
     return f"${UNITS[unit]}$" if unit in UNITS else COMBINED.get(unit, unit)
 
 
-MOST_CHARACTERS = 40
-"""Most characters of a text of the user's."""
-
-
-def as_written(text: str, most: int = MOST_CHARACTERS) -> str:
+def as_written(text: str, most: int = 40) -> str:
     r"""Text of the user's, for Matplotlib to draw it as written.
 
     A name of a specimen, say, is neither read as a formula nor hidden from legends. White space is blank, a character that the

@@ -26,9 +26,6 @@ WIDEST = 44
 NARROW = 16
 """Most characters per line of a legend next to the lines."""
 
-LINES = 8
-"""Most lines of a family; an axis with more makes a map."""
-
 
 @style.drawn
 def sweep(found: "xr.Dataset | xr.DataArray", name: str | None = None, *, ax: "Axes | None" = None) -> "Axes":
@@ -64,7 +61,7 @@ def sweep(found: "xr.Dataset | xr.DataArray", name: str | None = None, *, ax: "A
     ax = style.axes(ax)
     status = next((found[name] for name in ("status", "exact_status") if name in found), None)
     again = column.copy(data=np.zeros(column.shape, bool)) if status is None else status.squeeze() == Outcome.REBREAK
-    if len(axes) == 1 or column.sizes[axes[0]] <= LINES:
+    if len(axes) == 1 or column.sizes[axes[0]] <= 8:
         _lines(ax, column, again, axes[-1], axes[0] if len(axes) == 2 else None)
     else:
         _map(ax, column, again, *(axes if axes[0] == column.dims[1] else axes[::-1]))

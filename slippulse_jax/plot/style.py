@@ -30,9 +30,6 @@ ABOVE: dict[str, Any] = {
 }  # fmt: skip
 """Options of ``ax.legend`` above the Axes, where lines leave no room inside."""
 
-WIDEST = 1.2
-"""Largest width of a legend, over that of its Axes."""
-
 
 class Colours(NamedTuple):
     """Six colours for data, in order of use, and three others."""
@@ -195,7 +192,7 @@ def legend_above(ax: Any, handles: list[Any], *, most: int, **options: Any) -> N
     """Draw a small legend above the Axes, in at most `most` columns."""
     look = ABOVE | {"handles": handles, "fontsize": "small", "alignment": "left"} | options
     for columns in range(most, 0, -1):  # as many as do not press panels together
-        if ax.legend(**look, ncols=columns).get_window_extent().width < WIDEST * ax.get_window_extent().width:
+        if ax.legend(**look, ncols=columns).get_window_extent().width < 1.2 * ax.get_window_extent().width:
             return
 
 

@@ -100,7 +100,7 @@ def test_where_no_length_is_the_longest_attainable_json_has_null(monkeypatch):
     """As beyond run-away, where no stiffness stops the front."""
 
     def endless(q, theta):
-        return (np.full(len(q.inputs_at(theta).ratio), np.inf),) * 2
+        return (np.full(len(q.inputs.at(theta).ratio), np.inf),) * 2
 
     monkeypatch.setattr("slippulse_jax.inference.model.parameters.ParameterSet.attainable", endless)
     done = run("--json")

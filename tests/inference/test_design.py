@@ -323,7 +323,7 @@ def test_command(tmp_path):
     table = tmp_path / "lengths.csv"
     table.write_text("height,poisson,length,length_sigma\n25,0.3,25.9,0.1\n", encoding="utf-8")
     picture = tmp_path / "design.png"
-    asked = ["--height", "10,50", "--sigma", "0.5", "--poisson", "0.3", "--next", "2", "--json", "--figure", str(picture)]
+    asked = ["--height", "10:50:2", "--sigma", "0.5", "--poisson", "0.3", "--next", "2", "--json", "--figure", str(picture)]
     done = CliRunner().invoke(command, ["--measured", str(table), *asked])
     assert done.exit_code == 0, done.stderr
     content = json.loads(done.stdout)
@@ -347,7 +347,7 @@ def test_command_of_whole_events():
     ("arguments", "message"),
     [
         (["--height", "10", "--sigma", "0.5", "--poisson", "0.3"], "missing --stiffness"),
-        (["--height", "10,x", "--sigma", "0.5", "--poisson", "0.3"], "numbers separated by commas"),
+        (["--height", "10,x", "--sigma", "0.5", "--poisson", "0.3"], "'10,x' is not a number, a list a,b,c or a range"),
         (["--height", "10", "--poisson", "0.3", "--stiffness", "0.02", "--log-sd", "1"], "missing --sigma"),
         (["--height", "0.5", "--sigma", "0.5", "--poisson", "0.3", "--stiffness", "0.02", "--log-sd", "1"], "must exceed 1"),
         (["--height", "9", "--sigma", "0.5", "--poisson", "0.3", "--measured", "nowhere.csv"], "nowhere.csv"),

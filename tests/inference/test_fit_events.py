@@ -21,7 +21,6 @@ from slippulse_jax.inference.model.fronts import WholeEvent, front_for
 from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.result.record import as_request, from_request
 from slippulse_jax.inference.result.verdict import Identifiability
-from slippulse_jax.inference.search.likelihood import log_density
 from slippulse_jax.plot.labels import AGAIN
 
 HEIGHT = np.array([15.0, 20.0, 30.0, 40.0, 50.0, 60.0])
@@ -143,10 +142,10 @@ def test_the_density_of_whole_events_is_traced():
     _, m = study(6.5)
     result = sp.fit(m, event="full", intervals="profile")
     at = result.problem(result.theta + 0.02, order=1)
-    density = jax.value_and_grad(partial(log_density, problem=result.problem))
+    density = jax.value_and_grad(result.problem.traced)
     with jax.enable_x64(True):
         value, slope = jax.jit(jax.vmap(density))(jnp.asarray(result.theta + 0.02)[None])
-    np.testing.assert_allclose(value, -at.value, rtol=1e-9)
-    np.testing.assert_allclose(slope, -at.gradient, rtol=1e-6)
+    np.testing.assert_allclose(value, at.value, rtol=1e-9)
+    np.testing.assert_allclose(slope, at.gradient, rtol=1e-6)
     with pytest.raises(TypeError, match="from a table, which has first derivatives only"), jax.enable_x64(True):
-        jax.hessian(partial(log_density, problem=result.problem))(jnp.asarray(result.theta))
+        jax.hessian(result.problem.traced)(jnp.asarray(result.theta))

@@ -551,7 +551,7 @@ def test_an_end_is_as_long_as_said_where_the_contacts_have_another_size():
     found = sp.fit(table)
     fitted = np.array([found.inputs[f"correlation_length[{name}, 5e-05]"] for name in table["specimen"]])
     assert abs(np.log(fitted / 5e-5)).max() > 0.1
-    inputs = found.parameters.inputs_at(found.theta)
+    inputs = found.parameters.inputs.at(found.theta)
     own = np.asarray(sp.Slider(np.exp(inputs.log_height), inputs.ratio, inputs.poisson).slow_decay_length) * fitted * 1e3
     np.testing.assert_allclose(found.regime.slow_decay_length * 0.05, own, rtol=1e-12)  # in mm
     ended = sp.fit(table.assign(block_length_mm=4 * np.maximum(own, table["length_mm"] / 4)))

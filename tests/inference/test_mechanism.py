@@ -1,7 +1,6 @@
 """Pulse or crack: fits of crack-like fronts, and the test between the two, on data of dense programs."""
 
 import json
-from functools import partial
 
 import numpy as np
 import pytest
@@ -12,8 +11,9 @@ from test_gauges import AREAL, LC, RATIO, STRENGTH, UNIT, YOUNG, table
 
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
+from slippulse_jax.inference.model.fronts import front_for
 from slippulse_jax.inference.model.parameters import parameter_set
-from slippulse_jax.inference.search.likelihood import log_density, make_problem
+from slippulse_jax.inference.search.likelihood import make_problem
 from slippulse_jax.status import Outcome
 
 FRICTION = 0.4
@@ -94,16 +94,16 @@ def test_lengths_of_cracks_are_fitted_and_traced(tmp_path):
     theta = result.theta + 0.02
     found = result.problem(theta, order=1)
     with jax.enable_x64(True):
-        value, slope = jax.jit(jax.value_and_grad(partial(log_density, problem=result.problem)))(jax.numpy.asarray(theta))
-    assert float(value) == pytest.approx(-found.value[0], rel=1e-9)
-    np.testing.assert_allclose(slope, -found.gradient[0], rtol=1e-5)
+        value, slope = jax.jit(jax.value_and_grad(result.problem.traced))(jax.numpy.asarray(theta))
+    assert float(value) == pytest.approx(found.value[0], rel=1e-9)
+    np.testing.assert_allclose(slope, found.gradient[0], rtol=1e-5)
 
 
 @pytest.mark.ci
 def test_second_derivatives_where_there_is_no_friction():
     """Differences stay within the range: a crack with less than none has no length."""
     m = sp.Measurements([20.0, 40.0], 0.3, [15.0, 30.0], 0.3)
-    problem = make_problem(m, parameter_set(m, ["stiffness", "friction"], "crack"), "normal", m.sigma)
+    problem = make_problem(m, parameter_set(m, ["stiffness", "friction"], front_for("slider", "crack")), "normal", m.sigma)
     at, near = (problem(np.array([[np.log(0.004), x]]), order=2).curvature for x in (0.0, 1e-3))
     np.testing.assert_allclose(at, near, rtol=0.05)  # one-sided at the limit
 

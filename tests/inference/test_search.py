@@ -7,7 +7,7 @@ import random_tables
 import slippulse_jax as sp
 from slippulse_jax.inference.fit import wanted_parameters
 from slippulse_jax.inference.model.parameters import parameter_set, with_errors_of_measuring
-from slippulse_jax.inference.search.minima import Grid
+from slippulse_jax.inference.search.minima import DevianceGrid
 
 pytestmark = pytest.mark.filterwarnings("ignore::slippulse_jax.inference.table.measurements.MeasurementWarning")
 KINDS = ("one stiffness", "bounds", "counts", "mixed", "prestress", "second", "each specimen", "priors", "student", "relative")
@@ -20,11 +20,11 @@ EDGE = 2e-3
 def test_first_of_equal_nodes_is_the_lowest():
     """Of a floor one corner, of a slope the end, of what is infinite nothing."""
     deviance = np.array([[np.inf, 4.0, 4.0, 9.0], [3.0, 1.0, 1.0, 5.0], [6.0, 1.0, 1.0, 0.5]])
-    grid = Grid(np.stack(np.meshgrid(np.arange(3.0), np.arange(4.0), indexing="ij"), axis=-1), deviance)
+    grid = DevianceGrid(np.stack(np.meshgrid(np.arange(3.0), np.arange(4.0), indexing="ij"), axis=-1), deviance)
     np.testing.assert_array_equal(np.argwhere(grid.lows((0, 1))), [[1, 1], [2, 3]])
     np.testing.assert_array_equal(grid.beside(0, np.array([1.4, 1.6]), 1)[:, 0], [[1, 1], [2, 3]])
     np.testing.assert_array_equal(grid.beside(1, np.array([0.1]), 1)[:, 0], [[1, 0]])
-    assert not Grid(grid.theta, np.full((3, 4), np.inf)).lows((0, 1)).any()
+    assert not DevianceGrid(grid.theta, np.full((3, 4), np.inf)).lows((0, 1)).any()
 
 
 def lows(theta, deviance):

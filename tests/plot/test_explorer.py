@@ -43,8 +43,8 @@ def test_everything_follows_without_compiling_again(widget):
 
 def test_stress_is_all_that_the_contacts_carry():
     seen = explorer.view(np.array([25.0, 0.03, 0.3, 0.3, 0.0]), np.asarray(0))
-    assert seen.stress[0] == pytest.approx(1, abs=1e-12), "at its threshold, before anything has broken"
-    assert seen.stress[-1] == pytest.approx(0.3, abs=0.01), "far away its prestress alone"
+    assert seen.fields.stress[0] == pytest.approx(1, abs=1e-12), "at its threshold, before anything has broken"
+    assert seen.fields.stress[-1] == pytest.approx(0.3, abs=0.01), "far away its prestress alone"
 
 
 def test_the_drawing_shows_length_front_and_slopes():
@@ -82,7 +82,7 @@ def test_the_edge_that_breaks_again_is_marked():
     """From the contact on whose break brings contact 0 back to its threshold."""
     seen = explorer.view(np.array([25.0, 0.1, 0.3, 0.0, 0.0]), np.asarray(-1))
     front = sp.first_precursor(sp.Slider(25.0, 0.1, 0.3))
-    assert 0 < seen.again < seen.contacts_broken
+    assert 0 < seen.again < seen.front.contacts_broken
     assert front.fields_at(int(seen.again)).stress[0] >= 1 > front.fields_at(int(seen.again) - 1).stress[0]
     for theta in ([25.0, 0.03, 0.3, 0.0, 0.0], [5.0, 1e-4, 0.3, 0.0, 0.0]):
         assert explorer.view(np.array(theta), np.asarray(-1)).again == -1

@@ -118,7 +118,7 @@ def test_a_model_of_ones_own_with_a_column_of_its_own_is_fitted():
     assert found.stderrs["stiffness"] == pytest.approx(7e-3 / np.sqrt((slope**2).sum()), rel=1e-4)
     assert "kept but not used" not in found.report()
     assert "first precursor by Eq. (25)" in found.methods() or found.parameters.front.name in found.report(verbose=True)
-    assert (found.parameters.front.status(found.parameters.inputs_at(found.theta)) == Outcome.ARRESTED).all()
+    assert (found.parameters.front.status(found.parameters.inputs.at(found.theta)) == Outcome.ARRESTED).all()
     density = sp.objective(table(), event=PartOfHeight())
     theta = {"stiffness": jnp.asarray(np.log(7e-3))}
     assert abs(float(jax.grad(density)(theta)["stiffness"])) < 1e-6

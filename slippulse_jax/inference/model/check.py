@@ -32,16 +32,10 @@ from slippulse_jax.inference.model.parameters import (
 from slippulse_jax.inference.table.columns import COLUMNS, IN_LC, NUMERIC, MeasurementError
 from slippulse_jax.inference.table.measurements import Measurements, MeasurementWarning
 
-USUAL = 1.5
-"""Factor within which a prior must agree with the table, in another unit, for that unit to be suggested."""
-FAR = 50.0
-"""Factor between a parameter and the value in the table above which a unit is suspected: m and cm are 100 apart."""
 LIKELY = Domain(0.02, 1.2, "")
 """Usual range of the length over the height."""
 SUSPECT = (0.01, 1.5)
 """Range of the length over the height outside which a unit is suspected."""
-LENGTHENED = 5.0
-"""Factor on the upper end of `SUSPECT` where something may lengthen fronts."""
 
 
 def checked(
@@ -68,7 +62,7 @@ def checked(
         if name in names:
             error = "the measurements state its error: give it a prior there, or leave it out here"
             raise ValueError(f"{name} is to be fitted, and {error}")
-    q = parameter_set(m, wanted, front=front)
+    q = parameter_set(m, wanted, front)
     _check_domain(m, q)
     _check_reached(m, q)
     return q
@@ -208,7 +202,7 @@ def _exchanged(m: Measurements, wanted: Sequence[Parameter]) -> Iterator[str]:
     prestressed = any(one.name == "prestress" for one in wanted) or m.or_zero("prestress").any()
     lengthened = prestressed or m.machine_stiffness is not None or m.block_length is not None
     over = float(np.median(m.length / m.height))
-    if SUSPECT[0] <= over <= SUSPECT[1] * (LENGTHENED if lengthened else 1):
+    if SUSPECT[0] <= over <= SUSPECT[1] * (5 if lengthened else 1):
         return
     height, length = m.heading("height"), m.heading("length")
     may_be = [f"are {height} and {length} exchanged"] * bool(LIKELY.holds(1 / over))
@@ -245,9 +239,9 @@ def _far_from_the_table(m: Measurements, wanted: Iterable[Parameter]) -> Iterato
         if one.name in HEIGHTS and one.each is None:  # shown as that of the first
             table = table[:1]
         low, high = getattr(one, key) if key == "bounds" else np.repeat(getattr(one, key), 2)[:2]
-        if max(low / table.max(), table.min() / high) > FAR:
+        if max(low / table.max(), table.min() / high) > 50:  # m and cm are 100 apart
             unit = PARAMETERS[one.name].unit[m.in_si]
-            likely = Domain(table[0] / USUAL * low / high, table[0] * USUAL, "")  # of the lower end
+            likely = Domain(table[0] / 1.5 * low / high, table[0] * 1.5, "")  # of the lower end, in the unit that was meant
             meant = COLUMNS[one.name].likely_unit(low, likely=likely) if m.in_si else ""
             number = f"{low:g} to {high:g}" if key == "bounds" else f"{low:g}"
             where = f"where {m.heading(one.name)} says {table[0]:.4g} {unit}"
@@ -258,7 +252,7 @@ def _far_from_the_table(m: Measurements, wanted: Iterable[Parameter]) -> Iterato
 # --- other uses of measurements -----------------------------------------------------------------------------------------
 
 
-def check_used(m: Measurements, what: str, *, stacklevel: int = 4) -> None:
+def check_used(m: Measurements, what: str) -> None:
     """Refuse ends and machines, for a caller that ignores them.
 
     A warning names other columns that are not used: errors of inputs, errors that measured lengths share, and gauges would have
@@ -272,4 +266,4 @@ def check_used(m: Measurements, what: str, *, stacklevel: int = 4) -> None:
     unused += ["gauges"] * (m.gauges is not None) + ["what lengths of provenance measured share"] * ("measured" in m.provenance)
     if unused:
         text = f"{m.source}: {what} takes the inputs as exact and errors as independent, without {', '.join(unused)}"
-        warnings.warn(text, MeasurementWarning, stacklevel=stacklevel)
+        warnings.warn(text, MeasurementWarning, stacklevel=4)

@@ -6,7 +6,7 @@ kernel may compute. A new model is a new class: one here, which `front_of` choos
 """
 
 import functools
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
@@ -68,17 +68,8 @@ NEARBY = np.linspace(-0.15, 0.15, 13)
 """Changes of ln k/K over which the error of interpolated lengths is averaged, which step at single contacts."""
 
 
-class Prediction(NamedTuple):
-    """Values for L lanes, and two derivatives along a line of inputs.
-
-    Derivatives are 0 where a value is not finite.
-    """
-
-    value: Float[np.ndarray, " L"]
-    slope: Float[np.ndarray, " L"] | None = None
-    bend: Float[np.ndarray, " L"] | None = None
-
-
+Predicted = Float[np.ndarray, "order L"]
+"""Values for L lanes, (1, L); or with two derivatives along a line of inputs, (3, L), 0 where a value is not finite."""
 Along = Float[np.ndarray, "L inputs"] | None
 """Direction of each lane's line, in as many inputs as there are; None for values alone."""
 
@@ -129,9 +120,9 @@ class Front:
         raise NotImplementedError
 
     def length(self, inputs: Inputs, relaxed: bool) -> Array:
-        """Length of one lane in λc, a JAX function with derivatives in forward mode.
+        """Length of one lane in λc, a JAX function.
 
-        `relaxed` says that prestress and slope are zero for certain.
+        With derivatives in forward mode. `relaxed` says that prestress and slope are zero for certain.
         """
         return self._from_table(inputs)
 
@@ -141,15 +132,15 @@ class Front:
 
     def lengths(self, inputs: Inputs) -> Float[np.ndarray, " L"]:
         """Lengths of many lanes, in λc; NotConverged names inputs without one."""
-        return self.evaluate(inputs).value
+        return self.evaluate(inputs)[0]
 
-    def evaluate(self, inputs: Inputs, along: Along = None) -> Prediction:
+    def evaluate(self, inputs: Inputs, along: Along = None) -> Predicted:
         """Lengths of many lanes, and their derivatives along a line."""
         if type(self).values is Front.values:
             return by_jax(type(self).length, self, inputs, along)
-        return Prediction(self.values(inputs)) if along is None else self._by_differences(inputs, along)
+        return self.values(inputs)[None] if along is None else self._by_differences(inputs, along)
 
-    def _by_differences(self, inputs: Inputs, along: np.ndarray) -> Prediction:
+    def _by_differences(self, inputs: Inputs, along: np.ndarray) -> Predicted:
         """Values of a table, and their central differences along a line."""
         table, every = inputs.table(), {**COMMON, **self.inputs}
         steps = np.array([every[name].step for name in inputs.names])
@@ -167,13 +158,13 @@ class Front:
             slope = (up - down) / (np.maximum(sum(there), 1) * reach)
             bend = (up - 2 * value + down) / reach**2 * (there[0] & there[1])
         stops = np.isfinite(value) & moves
-        return Prediction(value, np.where(stops, slope, 0), np.where(stops, bend, 0))
+        return np.stack([value, np.where(stops, slope, 0), np.where(stops, bend, 0)])
 
     def _from_table(self, inputs: Inputs) -> Array:
         """Length from a table as a JAX function, with first derivatives."""
         names = inputs.names
 
-        def called(of: Callable[..., np.ndarray | None], *lanes: Array) -> Array:
+        def called(of: Callable[..., np.ndarray], *lanes: Array) -> Array:
             dtype = lanes[0].dtype
             words = (dtype.itemsize // 4,)[: dtype.itemsize > 4]  # in a thread of XLA's, JAX would round what is double
 
@@ -196,7 +187,7 @@ class Front:
             return length(*primals), slope(*primals, *tangents)
 
         slope = without_derivative(
-            lambda lane, along: called(lambda at, way: self.evaluate(at, way).slope, lane, along),
+            lambda lane, along: called(lambda at, way: self.evaluate(at, way)[1], lane, along),
             "the length of a whole event comes from a table, which has first derivatives only",
         )
 
@@ -211,7 +202,7 @@ class Front:
         return np.select(list(kinds.values()), list(kinds), Outcome.NO_DOMINO)
 
     def breaks_again(self, inputs: Inputs) -> np.ndarray:
-        """Whether the edge would break again, which the model leaves out; shape (L,)."""
+        """Whether the edge would break again, which the model leaves out; (L,)."""
         return np.zeros(inputs.poisson.shape, bool)
 
     def uncertainty(self, inputs: Inputs) -> np.ndarray | None:
@@ -293,7 +284,7 @@ class FirstFront(Front):
         slider, ends = sliders(inputs, jnp.exp), ends_of(inputs, jnp.exp)
         return jnp.asarray(arrest(slider, _interface(inputs, relaxed), ends).length)
 
-    def evaluate(self, inputs: Inputs, along: Along = None) -> Prediction:
+    def evaluate(self, inputs: Inputs, along: Along = None) -> Predicted:
         """ℓ by the loop over lanes.
 
         Of tall sliders and stiff contacts derivatives are differences.
@@ -304,17 +295,16 @@ class FirstFront(Front):
         rows, own = distinct_rows(inputs.table())
         return self._evaluate(inputs, along, self.reach(Inputs.from_table(inputs.names, rows))[own])
 
-    def _evaluate(self, inputs: Inputs, along: Along, reach: np.ndarray) -> Prediction:
+    def _evaluate(self, inputs: Inputs, along: Along, reach: np.ndarray) -> Predicted:
         never, loop = np.isinf(reach), (reach <= LONGEST) & (inputs.ratio <= STIFFEST_RUN_BACK)
         for some in (never, loop):
             if some.any() and not some.all():
                 sides = (some, ~some)
-                parts = [self._evaluate(inputs.take(x), None if along is None else along[x], reach[x]) for x in sides]
-                return Prediction(
-                    *(_joined(some, *x) for x in zip(*parts, strict=True) if x[0] is not None and x[1] is not None)
+                return _joined(
+                    some, *(self._evaluate(inputs.take(x), None if along is None else along[x], reach[x]) for x in sides)
                 )
         if never.any():
-            return Prediction(reach, *(np.zeros_like(reach) for _ in (1, 2) if along is not None))
+            return np.stack([reach, *([np.zeros_like(reach)] * 2 if along is not None else ())])
         if not loop.any() or along is None and loop.size > FEW_LANES:
             return super().evaluate(inputs, along)
         names, table = inputs.names, inputs.table()
@@ -324,14 +314,14 @@ class FirstFront(Front):
         fields = lane_fields(here, Inputs.from_table(names, way), is_relaxed(here, way), np)
         (found,) = over_lanes(jet_kernel(most, right), np.concatenate(fields), LOOP, _rank)
         value = self.within_reach(here, found[0], most)
-        return Prediction(value[own], *(np.where(np.isfinite(value), x, 0)[own] for x in found[1:]))
+        slopes = () if along is None else np.where(np.isfinite(value), found[1:], 0)
+        return np.stack([value, *slopes])[:, own]
 
     def in_rows(self, inputs: Inputs, relaxed: bool, highest: np.ndarray) -> Float[Array, " m"]:
         """ℓ by the same loop, with two derivatives in forward mode."""
         most, right = self.most(highest, inputs.names)
         at, _ = lane_fields(inputs, inputs, relaxed, jnp)
-        value = _by_loop(most, right, at)
-        return jnp.where(jnp.isnan(value) | (value > most if most < DEFAULT_MAX_CONTACTS else False), jnp.inf, value)
+        return self.within_reach(inputs, _by_loop(most, right, at), most, jnp)
 
     def status(self, inputs: Inputs) -> np.ndarray:
         """`Outcome` of each front, by the recursion; shape (L,)."""
@@ -341,7 +331,7 @@ class FirstFront(Front):
         return np.asarray(arrests(slider, interface, ends=ends).status)[own]
 
     def values(self, inputs: Inputs) -> np.ndarray:
-        """Lengths alone: those that run far in closed form, ℓ to rounding there."""
+        """Lengths alone, of fronts that run far in closed form, to rounding."""
         slider, interface, ends = recursion_inputs(inputs, is_relaxed(inputs))
         reach = self.reach(inputs)
         far = reach > LONGEST if ends is ENDLESS else np.isinf(reach)
@@ -383,17 +373,16 @@ class FirstFront(Front):
 
     @staticmethod
     def most(log_height: np.ndarray, names: tuple[str, ...]) -> tuple[int, RightEnd]:
-        """Contacts after which a front never stops, in few steps; the right end."""
+        """Contacts after which a front never stops; and the right end."""
         if not set(ENDED) & set(names):
             return DEFAULT_MAX_CONTACTS, "semi-infinite"
         return int(2 ** np.ceil(np.log2(np.maximum(FARTHEST * np.exp(log_height), AT_LEAST))).max()), "free"
 
-    def within_reach(self, inputs: Inputs, value: np.ndarray, most: int) -> np.ndarray:
-        """Lengths, inf where a front runs too far."""
-        value = np.where(np.isnan(value), np.inf, value)
-        if set(ENDED) & set(inputs.names):
-            value = np.where(value > most, np.inf, value)
-        return value
+    @staticmethod
+    def within_reach(inputs: Inputs, value: Any, most: int, numpy: Any = np) -> Any:
+        """Lengths, inf where a front runs too far; `numpy` may be JAX's."""
+        too_far = numpy.isnan(value) | (value > most if {*ENDED} & {*inputs.names} else False)
+        return numpy.where(too_far, np.inf, value)
 
     def breaks_again(self, inputs: Inputs) -> np.ndarray:
         """Whether the edge is back at its threshold before the front stops."""
@@ -576,7 +565,7 @@ class BlockEvent(Front):
                 self.held = "the pusher and the top of the block"
 
     def check(self, m: Measurements, names: Collection[str]) -> None:
-        """Ask for the height of the push, and refuse what blocks cannot take."""
+        """Ask for a push, and refuse what blocks cannot take."""
         if m.push_height is None:
             raise ValueError(f"{m.source}: a block needs the height of the push: give push_height (push_height_mm in a table)")
         if np.isnan(m.push_height).any():
@@ -586,7 +575,7 @@ class BlockEvent(Front):
             raise ValueError("parameter friction: the measurements state no friction to start from; a guess is enough")
         for name, why in self.refused.items():
             if getattr(m, name) is not None:
-                own, push = m.columns.get(name, name), m.columns.get("push_height", "push_height")
+                own, push = m.heading(name), m.heading("push_height")
                 raise ValueError(f"{m.source}: {own} beside {push}: a fit of a block takes one {why} (docs/fit/own_csv.md)")
         if "threshold_slope" in names or m.or_zero("threshold_slope").any():
             raise ValueError(f"{m.source}: threshold_slope: a fit of a block takes level thresholds")
@@ -594,17 +583,29 @@ class BlockEvent(Front):
     def stated(self, m: Measurements) -> dict[str, np.ndarray]:
         """The push on each block, its end, and what the pressure does."""
         assert m.push_height is not None
-        return pushed(
-            m.height, m.push_height, m.push_width, m.push_control, length=m.block_length, friction=m.friction,
-            normal_stiffness=m.normal_stiffness, contact_law=m.contact_law, top=m.top,
-        )  # fmt: skip
+
+        def log(x: np.ndarray | None) -> np.ndarray:
+            return np.full(len(m), np.inf) if x is None else np.log(np.where(np.isnan(x), np.inf, x))
+
+        ended, normal = {} if m.block_length is None else {"log_sites": log(m.block_length)}, log(m.normal_stiffness)
+        if m.friction is not None:
+            usual = np.full(len(m), np.log(USUAL_NORMAL_STIFFNESS))
+            normal = usual if m.normal_stiffness is None else np.minimum(normal, np.log(RIGID))
+        texts = zip(FLAGS, (m.push_control, m.contact_law, m.top), ("force", "multicontact", "held"), strict=True)
+        return ended | {
+            "log_push": np.log(m.push_height / m.height),
+            "log_push_width": log(m.push_width) - np.log(m.height),
+            "friction": m.or_zero("friction"),
+            "log_normal_stiffness": normal,
+            **{name: np.array([one == word for one in text] or [False] * len(m), float) for name, text, word in texts},
+        }
 
     def values(self, inputs: Inputs) -> np.ndarray:
         """Interpolated ℓ in λc."""
         return self.followed(inputs)[0]
 
     def uncertainty(self, inputs: Inputs) -> np.ndarray | None:
-        """How far each length may be off, by size of contacts and next to a fall."""
+        """How far lengths may be off, for their contacts and near falls."""
         return self.followed(inputs)[1]
 
     def softest(self, m: Measurements) -> np.ndarray:
@@ -662,40 +663,6 @@ def front_of(m: Measurements, event: MeasuredEvent | Front | None = None, body: 
     return front_for(body, event, m)
 
 
-def pushed(
-    height: np.ndarray,
-    at: np.ndarray,
-    width: np.ndarray | None = None,
-    control: Sequence[str] = (),
-    *,
-    length: np.ndarray | None = None,
-    normal_stiffness: np.ndarray | None = None,
-    friction: np.ndarray | None = None,
-    contact_law: Sequence[str] = (),
-    top: Sequence[str] = (),
-) -> dict[str, np.ndarray]:
-    """Inputs of blocks that sliders do not have, each of shape (n,).
-
-    NaN, or None, as in `Measurements`.
-    """
-    none = np.full(len(height), np.nan)
-
-    def or_inf(x: np.ndarray | None) -> np.ndarray:
-        return np.log(np.where(np.isnan(none if x is None else x), np.inf, none if x is None else x))
-
-    usual = None if friction is None else np.full(len(height), USUAL_NORMAL_STIFFNESS)
-    normal = or_inf(usual if normal_stiffness is None else normal_stiffness)
-    ended = {} if length is None else {"log_sites": or_inf(length)}
-    texts = zip(FLAGS, (control, contact_law, top), ("force", "multicontact", "held"), strict=True)
-    return ended | {
-        "log_push": np.log(at / height),
-        "log_push_width": or_inf(width) - np.log(height),
-        "friction": np.zeros(len(height)) if friction is None else friction,
-        "log_normal_stiffness": normal if friction is None else np.minimum(normal, np.log(RIGID)),
-        **{name: np.array([one == word for one in text] or [False] * len(height), float) for name, text, word in texts},
-    }
-
-
 # --- derivatives -------------------------------------------------------------------------------------------------------
 
 
@@ -704,8 +671,8 @@ def is_relaxed(inputs: Inputs, along: Along = None) -> bool:
     return not (inputs.prestress.any() or inputs.threshold_slope.any() or along is not None and along[:, 3:5].any())
 
 
-def by_jax(function: Any, front: Front, inputs: Inputs, along: Along, **options: Any) -> Prediction:
-    """Values and derivatives of a ``function(front, inputs, relaxed)`` of one lane, in bulk."""
+def by_jax(function: Any, front: Front, inputs: Inputs, along: Along, **options: Any) -> Predicted:
+    """Values and derivatives of a ``function(front, inputs, relaxed)`` of one lane."""
     table = inputs.table()
     rows, own = distinct_rows(table if along is None else np.concatenate([table, along], axis=1))
     kernel = _jets(function, front, inputs.names, along is not None, is_relaxed(inputs, along), **options)
@@ -713,7 +680,7 @@ def by_jax(function: Any, front: Front, inputs: Inputs, along: Along, **options:
     if np.isnan(value).any():
         where = ", ".join(f"{x:.9g}" for x in rows[np.argmax(np.isnan(value))])
         raise NotConverged(f"no {front.name} at {inputs.names} = ({where})")
-    return Prediction(value[own], *(np.where(np.isfinite(value), x, 0)[own] for x in slopes))
+    return np.stack([value, *(np.where(np.isfinite(value), x, 0) for x in slopes)])[:, own]
 
 
 @functools.cache
@@ -738,8 +705,7 @@ def lane_fields(inputs: Inputs, along: Inputs, relaxed: bool, numpy: Any) -> tup
 
     A missing end is so far away that no digit changes.
     """
-    names = ["log_height", "log_stiffness", "poisson", "prestress", "threshold_slope"]
-    ended = bool(set(ENDED) & set(inputs.names))
+    names, ended = [*COMMON], bool({*ENDED} & {*inputs.names})
     at, way = ([one.get(name) for name in (names[:3] if relaxed and not ended else names)] for one in (inputs, along))
     far, still = numpy.full_like(at[0], np.log(NO_END)), numpy.zeros_like(at[0])
     for name in ENDED if ended else ():
@@ -791,8 +757,8 @@ def _jets_along(most: int, right: RightEnd, at: Array, along: Array) -> Float[Ar
 
 
 def _joined(first: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    found = np.empty(len(first))
-    found[first], found[~first] = x, y
+    found = np.empty((*x.shape[:-1], len(first)))
+    found[..., first], found[..., ~first] = x, y
     return found
 
 

@@ -111,9 +111,3 @@ class Inputs(NamedTuple):
     def ratio(self) -> Any:
         """k/K."""
         return np.exp(self.log_stiffness)
-
-    @property
-    def common_ratio(self) -> float | None:
-        """k/K where it is one number, to rounding."""
-        ratio = self.ratio
-        return float(ratio[0]) if np.ptp(ratio) <= 1e-12 * ratio[0] else None

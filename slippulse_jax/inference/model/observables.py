@@ -5,6 +5,7 @@ front has stopped, which go over smoothly from one whole count of contacts to th
 one measurement.
 """
 
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
@@ -12,7 +13,7 @@ import numpy as np
 from jaxtyping import Array
 
 from slippulse_jax.bodies.modes import lattice_modes
-from slippulse_jax.inference.model.fronts import Along, Front, Prediction, by_jax, ends_of, sliders
+from slippulse_jax.inference.model.fronts import Along, Front, Predicted, by_jax, ends_of, sliders
 from slippulse_jax.inference.model.inputs import Input, Inputs
 
 OF_GAUGES = {
@@ -48,18 +49,11 @@ def _without_machine(inputs: Inputs) -> Any:
     return ends_of(inputs.without("log_machine"), jnp.exp)
 
 
-def slip(front: Front, inputs: Inputs, relaxed: bool, sites: int) -> Array:
-    """Slip at a gauge after arrest, in u_s; inf without arrest."""
-    return _reading(0, front, inputs, relaxed, sites)
+def reading(which: int, front: Front, inputs: Inputs, relaxed: bool, sites: int) -> Array:
+    """Slip in u_s, or stress in σ_s, at a gauge after arrest.
 
-
-def stress(front: Front, inputs: Inputs, relaxed: bool, sites: int) -> Array:
-    """Stress at a gauge after arrest, in σ_s; inf without arrest."""
-    return _reading(1, front, inputs, relaxed, sites)
-
-
-def _reading(which: int, front: Front, inputs: Inputs, relaxed: bool, sites: int) -> Array:
-    """Slip or stress between two contacts; inf if `sites` are too few."""
+    By a straight line between two contacts; inf without arrest, and if `sites` are too few.
+    """
     lone = inputs.without(*OF_GAUGES)
     # contact 0 has broken even where no domino starts
     free = jnp.maximum(front.length(lone, relaxed) + inputs.get("beyond"), 1)
@@ -71,15 +65,11 @@ def _reading(which: int, front: Front, inputs: Inputs, relaxed: bool, sites: int
     return jnp.where(known, field[left] + (place - left) * (field[left + 1] - field[left]), jnp.inf)
 
 
-def _length(front: Front, inputs: Inputs, relaxed: bool) -> Array:
-    return front.length(inputs, relaxed)
+OBSERVED = {"displacement": displacement, "force": force, "slip": partial(reading, 0), "stress": partial(reading, 1)}
+"""Models of observables: of front, inputs of a lane, whether it is relaxed, and for gauges how many fields are computed."""
 
 
-OBSERVED = {"length": _length, "displacement": displacement, "force": force, "slip": slip, "stress": stress}
-"""Model of every observable: of front, inputs of a lane, whether it is relaxed, and for gauges how many fields are computed."""
-
-
-def predicted(observable: str, front: Front, inputs: Inputs, along: Along = None) -> Prediction:
+def predicted(observable: str, front: Front, inputs: Inputs, along: Along = None) -> Predicted:
     """Predictions of many lanes, and their derivatives along a line."""
     if observable == "length":
         return front.evaluate(inputs, along)
@@ -95,5 +85,5 @@ def predicted(observable: str, front: Front, inputs: Inputs, along: Along = None
     found[0] = np.inf
     for count in np.unique(size[size > 0]).tolist():
         here, direction = size == count, None if along is None else along[size == count]
-        found[:, here] = by_jax(OBSERVED[observable], front, inputs.take(here), direction, sites=count)[: len(found)]
-    return Prediction(*found)
+        found[:, here] = by_jax(OBSERVED[observable], front, inputs.take(here), direction, sites=count)
+    return found

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slippulse_jax.bulk.chunks import distinct_rows
-from slippulse_jax.inference.choices import Body, MeasuredEvent
 from slippulse_jax.inference.model.fronts import Front, front_of
 from slippulse_jax.inference.model.inputs import COMMON, Inputs
 from slippulse_jax.inference.table.measurements import Measurements
@@ -24,8 +23,6 @@ SCALES = ("length", "displacement", "force", "slip", "stress", "position", "offs
 beyond ℓ when gauges were read."""
 PRIOR_REACH = 6.0
 """Standard deviations of a prior searched on either side where no bounds are given."""
-HELD = 1e-6
-"""Deviation of a prior, over the mean, below which it must have been given in another unit."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -94,7 +91,7 @@ class Parameter:
             mean, sigma = self.prior
             if not (np.isfinite(mean) and np.isfinite(sigma) and sigma > 0 and (mean > 0 or not positive)):
                 raise ValueError(f"prior = ({mean:g}, {sigma:g}) of {self.name}: a mean{' > 0' * positive} and a deviation > 0")
-            if positive and sigma < HELD * mean:
+            if positive and sigma < 1e-6 * mean:  # in another unit
                 raise ValueError(
                     f"prior = ({mean:g}, {sigma:g}) of {self.name}: the deviation is {sigma / mean:.1g} of the mean; give it "
                     "in the unit of the mean, or hold the parameter by `value`"
@@ -185,12 +182,8 @@ class ParameterSet:
         own = np.flatnonzero(slopes.any(axis=0))
         return own if own.size else np.arange(slopes.shape[1])
 
-    def inputs_at(self, theta: np.ndarray) -> Inputs:
-        """Inputs, shape (…, n), at θ of shape (…, p)."""
-        return self.inputs.at(theta)
-
     def longest(self, theta: np.ndarray, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
-        """Longest lengths of linear inputs, in true λc without offset, and the k/K where."""
+        """Longest lengths, in true λc without offset, and the k/K where."""
         at = inputs.at(theta)
         low, high = np.array(at.log_stiffness), np.array(at.log_stiffness)
         for i, one in enumerate(self.free):
@@ -203,9 +196,9 @@ class ParameterSet:
         return longest[own], np.exp(where[own])
 
     def attainable(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Longest length of each measurement, in λc, and the k/K where; shapes (n,).
+        """Longest length of each measurement, in λc, and the k/K where.
 
-        At any stiffness searched; the other parameters stay as in `theta`.
+        Both of shape (n,). At any stiffness searched; the other parameters stay as in `theta`.
         """
         longest, where = self.longest(theta, self.inputs)
         return longest * np.exp(self.scales["length"](theta)) + self.scales["offset"](theta), where
@@ -213,10 +206,11 @@ class ParameterSet:
     def common_ratio(self, theta: np.ndarray) -> float | None:
         """k/K at θ where one is fitted for all measurements."""
         fitted = any("stiffness" in one.label for one in self.free if not one.nuisance)
-        return self.inputs_at(theta).common_ratio if fitted else None
+        ratio = self.inputs.at(theta).ratio
+        return float(ratio[0]) if fitted and np.ptp(ratio) <= 1e-12 * ratio[0] else None
 
 
-class Kind(NamedTuple):
+class ParameterKind(NamedTuple):
     """A row of the table of parameters."""
 
     symbol: str
@@ -228,32 +222,30 @@ class Kind(NamedTuple):
     limits: tuple[float, float] = (-np.inf, np.inf)  # of a range that follows from a prior
 
 
-PARAMETERS: dict[str, Kind] = {
-    "stiffness": Kind("k/K", ("", ""), True, {"log_stiffness": 1}),
-    "areal_stiffness": Kind("k/λc²", ("Pa/m", "Pa/m"), True, {"log_stiffness": 1, "displacement": -1, "slip": -1}),
-    "areal_stiffness_over_young": Kind("(k/λc²)/E", ("1/m", "1/m"), True, {"log_stiffness": 1}),
-    "height": Kind("H", ("λc", "m"), True, {"log_height": 1, "log_push": -1, "log_push_width": -1}, factor=2.0),
-    "correlation_length": Kind(
+PARAMETERS: dict[str, ParameterKind] = {
+    "stiffness": ParameterKind("k/K", ("", ""), True, {"log_stiffness": 1}),
+    "areal_stiffness": ParameterKind("k/λc²", ("Pa/m", "Pa/m"), True, {"log_stiffness": 1, "displacement": -1, "slip": -1}),
+    "areal_stiffness_over_young": ParameterKind("(k/λc²)/E", ("1/m", "1/m"), True, {"log_stiffness": 1}),
+    "height": ParameterKind("H", ("λc", "m"), True, {"log_height": 1, "log_push": -1, "log_push_width": -1}, factor=2.0),
+    "correlation_length": ParameterKind(
         "λc", ("", "m"), True,
         # H/λc falls; k/K = (k/λc²) λc/E rises
         {"log_height": -1, "log_stiffness": 1, "length": 1, "force": 1, "position": 1, "log_sites": -1},
         factor=10.0,
     ),
-    "push_height": Kind("h", ("λc", "m"), True, {"log_push": 1}, factor=2.0),
-    "young": Kind("E", ("", "Pa"), True, {"log_stiffness": -1, "log_machine": -1}, factor=10.0),
-    "poisson": Kind("ν", ("", ""), False, {"poisson": 1}, (0.0, 0.5), 1.0, (-0.99, 0.5)),
-    "prestress": Kind("φ", ("σ_s", "σ_s"), False, {"prestress": 1}, (-0.95, 0.95), 1.0, (-0.99, 0.99)),
-    "threshold_slope": Kind("ε", ("1/λc", "1/λc"), False, {"threshold_slope": 1}, None, 1.0),
-    "friction": Kind("", ("", ""), False, {"friction": 1}, (0.0, 0.95), 1.0, limits=(0.0, np.inf)),
-    "strength": Kind("σ_s", ("", "Pa"), True, {"displacement": 1, "force": 1, "slip": 1, "stress": 1}, (1.0, 1e12)),
-    "offset": Kind("offset", ("λc", "m"), False, {"offset": 1}),
-    "model_factor": Kind("model factor", ("", ""), True, {"length": 1}),
-    "arrest": Kind("contacts beyond ℓ", ("λc", "λc"), False, {"beyond": 1}),
+    "push_height": ParameterKind("h", ("λc", "m"), True, {"log_push": 1}, factor=2.0),
+    "young": ParameterKind("E", ("", "Pa"), True, {"log_stiffness": -1, "log_machine": -1}, factor=10.0),
+    "poisson": ParameterKind("ν", ("", ""), False, {"poisson": 1}, (0.0, 0.5), 1.0, (-0.99, 0.5)),
+    "prestress": ParameterKind("φ", ("σ_s", "σ_s"), False, {"prestress": 1}, (-0.95, 0.95), 1.0, (-0.99, 0.99)),
+    "threshold_slope": ParameterKind("ε", ("1/λc", "1/λc"), False, {"threshold_slope": 1}, None, 1.0),
+    "friction": ParameterKind("", ("", ""), False, {"friction": 1}, (0.0, 0.95), 1.0, limits=(0.0, np.inf)),
+    "strength": ParameterKind("σ_s", ("", "Pa"), True, {"displacement": 1, "force": 1, "slip": 1, "stress": 1}, (1.0, 1e12)),
+    "offset": ParameterKind("offset", ("λc", "m"), False, {"offset": 1}),
+    "model_factor": ParameterKind("model factor", ("", ""), True, {"length": 1}),
+    "arrest": ParameterKind("contacts beyond ℓ", ("λc", "λc"), False, {"beyond": 1}),
 }  # fmt: skip
 """Every parameter by name; k/K, areal stiffness and its ratio to E are one parameter, named by what the data determine."""
 STIFFNESSES = ("stiffness", "areal_stiffness", "areal_stiffness_over_young")
-ARREST = (0.5, 12**-0.5)
-"""Mean and deviation of the difference between ℓ and the number of contacts that break, ceil(ℓ): uniform from 0 to 1."""
 HEIGHTS = ("height", "push_height")
 """Lengths held in λc and shown in metres where λc is known; fitted as one factor on all of their rows."""
 NEEDS_SI = ("correlation_length", "young", "strength")
@@ -267,19 +259,16 @@ elasticity that is pushed over all but the lowest quarter of its side. Other pus
 def parameter_set(
     m: Measurements,
     wanted: Iterable[str | Parameter],
-    event: MeasuredEvent | Front | None = None,
-    body: Body | None = None,
-    *,
     front: Front | None = None,
 ) -> ParameterSet:
     """Map the parameters of a fit to the inputs of the model.
 
     Everything that is neither fitted nor held is as stated with the measurements; "stiffness" stands for whichever stiffness
-    they determine. `event` and `body` are as for `front_of`; or `front` is the model of a length, that of measurements much
-    like these. What a user asks for is checked before (`slippulse_jax.inference.model.check.checked`).
+    they determine. The model of a length is `front`, by default that of `front_of`. What a user asks for is checked before
+    (`slippulse_jax.inference.model.check.checked`).
     """
     wanted = tuple(Parameter(one) if isinstance(one, str) else one for one in wanted)
-    front, chosen = front_of(m, event, body) if front is None else front, with_names(m, wanted)
+    front, chosen = front or front_of(m), with_names(m, wanted)
     log_lc, log_young = np.log(m.metres), 0.0 if m.young is None else np.log(m.young)
     every = np.log(m.height), log_lc - log_young, m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope")
     inputs = dict(zip(COMMON, every, strict=True)) | front.stated(m)
@@ -289,7 +278,8 @@ def parameter_set(
     held: dict[str, float] = {}
     for parameter, label, rows in (*_asked(m, chosen), *_uncertain(m, front), *_arrests(m)):
         name = parameter.name
-        reference, acts = inputs.get(name, _reference(m, name)), _acts(m, name, rows)
+        reference, unit = inputs.get(name, _reference(m, name)), m.metres if name == "offset" else 1
+        acts = {target: size * rows / unit for target, size in PARAMETERS[name].acts.items()}  # of a unit of θ
         if parameter.value is not None:
             held[name] = parameter.value
             shift = (np.log(parameter.value) if PARAMETERS[name].log else parameter.value) - reference
@@ -339,11 +329,6 @@ def _asked(m: Measurements, chosen: Sequence[Parameter]) -> Iterator[tuple[Param
             if parameter.value is None and given is not None and np.ptp(given[rows]) > 0:
                 raise ValueError(f"parameter {label}: the measurements state more than one value of it; one must be shared")
             yield parameter, label, rows
-
-
-def _acts(m: Measurements, name: str, rows: np.ndarray) -> dict[str, np.ndarray]:
-    """What a unit of θ adds to inputs and scales, by measurement."""
-    return {target: size * rows / (m.metres if name == "offset" else 1) for target, size in PARAMETERS[name].acts.items()}
 
 
 def stated(m: Measurements, name: str, error: str = "") -> np.ndarray | None:
@@ -397,11 +382,14 @@ def _uncertain(m: Measurements, front: Front) -> Iterator[tuple[Parameter, str, 
 
 
 def _arrests(m: Measurements) -> Iterator[tuple[Parameter, str, np.ndarray]]:
-    """A parameter per precursor with gauges whose contacts were not counted."""
+    """A parameter per precursor with gauges whose contacts were not counted.
+
+    The number of contacts that break, ceil(ℓ), is above ℓ by what is uniform from 0 to 1.
+    """
     for i in () if m.gauges is None else dict.fromkeys(m.gauges.row):
         if m.kind[i] != "whole":
             label = f"arrest[{m.label[i] if m.label else i}]"
-            yield Parameter("arrest", prior=ARREST, nuisance=True), label, np.arange(len(m)) == i
+            yield Parameter("arrest", prior=(0.5, 12**-0.5), nuisance=True), label, np.arange(len(m)) == i
 
 
 def default_bounds(

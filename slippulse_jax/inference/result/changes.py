@@ -8,18 +8,18 @@ ruler or modulus; else over the whole range, as `fit` does with the changed tabl
 import dataclasses
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc
 
 from slippulse_jax.block import USUAL_NORMAL_STIFFNESS
-from slippulse_jax.inference.model.fronts import BlockEvent
+from slippulse_jax.inference.model.fronts import BlockEvent, Front, front_for, front_of
 from slippulse_jax.inference.model.parameters import HEIGHTS, MODEL_ERROR, STIFFNESSES, Parameter, ParameterSet, parameter_set
 from slippulse_jax.inference.result.verdict import SCATTERED, Identifiability
 from slippulse_jax.inference.search.intervals import LEVELS, Interval
-from slippulse_jax.inference.search.likelihood import IMPROBABLE, Problem, make_problem
-from slippulse_jax.inference.search.minima import between_contacts, ordered, search
+from slippulse_jax.inference.search.likelihood import IMPROBABLE, make_problem
+from slippulse_jax.inference.search.minima import DevianceGrid, between_contacts, ordered, search
 from slippulse_jax.inference.search.minimise import minimise
 from slippulse_jax.inference.table.columns import COLUMNS, IN_LC
 from slippulse_jax.inference.table.measurements import Measurements
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 USUAL = ("height", "length", "young", "poisson", "correlation_length", "push_height", "friction")
 """Columns with a usual error, in the order in which a paper states them."""
-OF_BLOCKS = ("push_height", "friction")
 SMALL = 0.01
 """Part of a usual error that is tried where the data exclude all of it."""
 END, MACHINES = 4.0, (1.0, 1 / 3)
@@ -42,21 +41,12 @@ NARROW, NARROW_PUSHER = 0.1, "0.1 H high"
 """Height over H of a pusher that may cover less than all of the side above, where the table does not say; and in words."""
 PRESSED, NORMAL = (0.3, 0.6), (1.0, 1.4)
 """Friction coefficients tried where a table of a block states none, and k_n/k where one with friction states none."""
-SCATTERING = (0.6, 0.8)
-"""Share of the stiffness that thresholds take off which scatter by 5 % between contacts (docs/evidence/scatter.md)."""
-STARTS, MOST_STEPS = 9, 25
-"""Starts over the range of the stiffness of a fit with one freedom more, and steps of every start."""
+MOST_STEPS = 25
+"""Steps of every start of another fit."""
 MOST_CONTACTS = 5e4
 """Contacts of the longest front, above which ends and machines, which are followed break by break, are not tried."""
-TRIED = 65
-"""Points over the range of the stiffness, from the valleys between which a fit starts where lengths are smooth."""
-AT_END = 1e-6
-"""Share of the range searched within which a fit lies at its end: then no value fits."""
 MANY = 3.0
 """Factor from which on a change counts, and is given, as one instead of in per cent."""
-MUCH = 0.2
-"""Largest share of χ² per degree of freedom that a richer model may leave, if it does not lead to an accepted fit."""
-MOST_OUTLIERS = 5
 
 
 class Change(NamedTuple):
@@ -114,7 +104,7 @@ def _of_inputs(result: "FitResult") -> Iterator[Change]:
     beside = {one.name for one in q.free}
     beside |= {"length"} if "model_factor" in beside else set()  # which contains a scale of all lengths
     for name in USUAL:
-        if name in beside or not _taken_as_exact(m, name) or (name in OF_BLOCKS and q.front.body == "slider"):
+        if name in beside or not _taken_as_exact(m, name) or (name in ("push_height", "friction") and q.front.body == "slider"):
             continue
         what, error, *other = COLUMNS[name].usual
         moves = _moves(result, _moved(m, name, error))
@@ -153,7 +143,7 @@ def _moves(result: "FitResult", m: Measurements) -> dict[str, tuple[float]]:
 def _refitted(result: "FitResult", m: Measurements) -> tuple[np.ndarray, float]:
     """θ and deviance of the first minimum nearby, for other measurements."""
     q = result.parameters
-    other = parameter_set(m, q.wanted, front=q.front)
+    other = parameter_set(m, q.wanted, q.front)
     starts = np.array([result.theta, *(root.theta for root in result.minima)])
     problem = make_problem(m, other, result.problem.loss, _sigma(result, m))
     found = search(problem, method="lm", max_steps=MOST_STEPS, seed=0, extra=starts)
@@ -170,31 +160,40 @@ def _sigma(result: "FitResult", m: Measurements) -> np.ndarray:
 
 
 def _again(
-    result: "FitResult", name: str, what: str, every: Iterable[Measurements], names: Iterable[str], **other: Any
+    result: "FitResult",
+    name: str,
+    what: str,
+    every: Iterable[Measurements],
+    names: Iterable[str],
+    *,
+    wanted: Sequence[Parameter] = (),
+    front: Front | None = None,
 ) -> Change:
     """Fit other measurements over the whole range, as `fit` does.
 
-    Each for one move of the parameters named. `other` has the `wanted` parameters, `event` and `body`, if they are not those of
-    the fit.
+    Each for one move of the parameters named. `wanted` parameters and `front` are those of the fit unless given.
     """
     q, seed = result.parameters, result.request["seed"]
-    own = q.front if q.front.body == "slider" and "event" not in other else None
-    model = {"wanted": q.wanted, "event": q.front.event, "body": q.front.body, "front": own} | other
+    front = q.front if front is None and q.front.body == "slider" else front
     moves: dict[str, tuple[float, ...]] = dict.fromkeys(names, ())
     several = []
     for m in every:
         theta, fits = None, 0
         try:
-            changed = parameter_set(m, **model)
+            changed = parameter_set(m, wanted or q.wanted, front or front_of(m, q.front.event, q.front.body))
             problem = make_problem(m, changed, result.problem.loss, _sigma(result, m) if result.scaled else m.stated_sigma)
             between = None if result.scaled else between_contacts(problem, seed)
             if between is not None:
                 problem = problem.widened(between)
-            starts = None if changed.front.interpolated else _valleys(problem, _starts(result, changed, TRIED))
+            starts = None
+            if not changed.front.interpolated:  # its lengths are smooth
+                points = _starts(result, changed, 65)
+                starts = points[DevianceGrid(points, 2 * problem(points).value).lows()]
             found = search(problem, method="lm", max_steps=MOST_STEPS, seed=seed, extra=starts)
             roots = ordered(problem, found.minima)
             first = next(iter(roots), found)
-            room = np.minimum(first.theta - changed.low, changed.high - first.theta) > AT_END * (changed.high - changed.low)
+            # at an end of the range searched no value fits
+            room = np.minimum(first.theta - changed.low, changed.high - first.theta) > 1e-6 * (changed.high - changed.low)
             if problem.accepts(first.theta, first.deviance) and room[[one in moves for one in changed.names]].all():
                 theta = dict(zip(changed.names, first.theta.tolist(), strict=True))
             fits = sum(root.deviance <= first.deviance + result.rise(LEVELS[-1]) for root in roots)
@@ -206,7 +205,7 @@ def _again(
     return Change(name, what, moves, several=tuple(several))
 
 
-def _starts(result: "FitResult", q: ParameterSet, count: int = STARTS) -> np.ndarray:
+def _starts(result: "FitResult", q: ParameterSet, count: int = 9) -> np.ndarray:
     """Start at the best fit and all over the range of stiffness."""
     thetas = [result.theta, *(root.theta for root in result.minima)]
     every = [dict(zip(result.parameters.names, theta, strict=True)) for theta in thetas]
@@ -281,30 +280,14 @@ def _of_bodies(result: "FitResult") -> Iterator[Change]:
         assert m.push_height is not None
         at = np.clip(m.push_height, NARROW * m.height, (1 - NARROW) * m.height)
         narrow = dataclasses.replace(m, push_height=at, push_width=NARROW * m.height)
-        yield _again(
-            result,
-            "push_width",
-            f"a pusher {NARROW_PUSHER} (column push_width{unit} states it)",
-            [narrow],
-            stiff,
-            front=BlockEvent(narrow, tried=True),
-        )
+        what = f"a pusher {NARROW_PUSHER} (column push_width{unit} states it)"
+        yield _again(result, "push_width", what, [narrow], stiff, front=BlockEvent(narrow, tried=True))
     if not block and relaxed and m.push_height is None and q.front.event == "domino" and not m.or_zero("threshold_slope").any():
         lengths = dataclasses.replace(m, **dict.fromkeys(BlockEvent.refused))
         wanted = [one for one in q.wanted if one.name != "strength"]
         pushed = [dataclasses.replace(lengths, push_height=at * m.height) for at in PUSHES]
         what = f"a real block, pushed from {', '.join(map(str, PUSHES))} H up (column push_height{unit} fits one)"
-        yield _again(
-            result,
-            "block",
-            what,
-            pushed,
-            stiff,
-            wanted=wanted,
-            event="full",
-            body="block",
-            front=BlockEvent(*pushed, tried=True),
-        )
+        yield _again(result, "block", what, pushed, stiff, wanted=wanted, front=BlockEvent(*pushed, tried=True))
     if block:
         wanted = [one for one in q.wanted if one.name != "friction"]
         tried, what = (0.0,), "thresholds that do not follow the pressure (μ = 0)"
@@ -318,12 +301,12 @@ def _of_bodies(result: "FitResult") -> Iterator[Change]:
             sprung = [dataclasses.replace(m, normal_stiffness=np.full(len(m), ratio)) for ratio in NORMAL]
             yield _again(result, "normal_stiffness", what, sprung, stiff, front=BlockEvent(*sprung, tried=True))
     if q.front.event in ("domino", "full"):  # not studied for others
-        ends = tuple(-math.log1p(-share) for share in SCATTERING)
+        ends = tuple(-math.log1p(-share) for share in (0.6, 0.8))  # of the stiffness (docs/evidence/scatter.md)
         what = "thresholds that scatter by 5 % between contacts (found for sliders of b = 0.3 to 3)"
         yield Change("threshold", what, dict.fromkeys(stiff, ends))
     if block:
         wanted = [one for one in q.wanted if one.name not in ("push_height", "friction")]
-        yield _again(result, "slider", "the paper's slider", [m], stiff, wanted=wanted, event="domino", body="slider")
+        yield _again(result, "slider", "the paper's slider", [m], stiff, wanted=wanted, front=front_for("slider", "domino"))
 
 
 # --- errors with those of inputs ------------------------------------------------------------------------------------------
@@ -417,7 +400,7 @@ def _shared(result: "FitResult") -> Iterator[str]:
         value, sigma = getattr(m, name), getattr(m, f"{name}_sigma")
         at = name == "push_height"
         if len(each) > 1 and (at or (np.ptp(value) == 0 and np.ptp(sigma) == 0)):
-            column, symbol = m.columns.get(f"{name}_sigma", f"{name}_sigma"), each[0].symbol
+            column, symbol = m.heading(f"{name}_sigma"), each[0].symbol
             size = m.correlation_length[0] if at and m.correlation_length is not None else 1.0
             mean, deviation = f"{value[0] * size:.6g}", f"{sigma[0] * size:.6g}"
             prior = f'sp.Parameter("{name}", prior=({mean}, {deviation}))'
@@ -481,16 +464,10 @@ def _in_python(one: Parameter) -> str:
 def _with(result: "FitResult", wanted: list[Parameter]) -> tuple[float, int]:
     """Least deviance with these parameters, and how many more they are."""
     m, front = result.measurements, result.parameters.front
-    q = parameter_set(m, wanted, front=front)
+    q = parameter_set(m, wanted, front)
     problem = make_problem(m, q, result.problem.loss, result.sigma)
     value = minimise(problem, _starts(result, q), q.low, q.high, max_steps=MOST_STEPS).value
     return 2 * float(value.min()), problem.p - result.problem.p
-
-
-def _valleys(problem: Problem, points: np.ndarray) -> np.ndarray:
-    """Points at which a finite deviance is below that beside them."""
-    value = np.concatenate([[np.inf], problem(points).value, [np.inf]])
-    return points[(value[1:-1] <= value[:-2]) & (value[1:-1] <= value[2:]) & np.isfinite(value[1:-1])]
 
 
 def _outliers(result: "FitResult") -> Iterator[tuple[float, int, str]]:
@@ -498,11 +475,11 @@ def _outliers(result: "FitResult") -> Iterator[tuple[float, int, str]]:
     m, problem, q = result.measurements, result.problem, result.parameters
     if len(m) < 4:
         return
-    suspects = np.argsort(-np.abs(result.residuals))[:MOST_OUTLIERS]
+    suspects = np.argsort(-np.abs(result.residuals))[:5]
     count = len(suspects)
-    weights = {data.observable: (data.measurement != suspects[:, None]).astype(float) for data in problem.observed}
-    values = {data.observable: np.repeat(data.value, count, axis=0) for data in problem.observed}
-    without: Problem = problem.with_replicates(values, weights, np.repeat(problem.prior_mean, count, axis=0))
+    kept = [(data.measurement != suspects[:, None]).astype(float) for data in problem.observed]
+    every = [(np.repeat(data.value, count, axis=0), weight) for data, weight in zip(problem.observed, kept, strict=True)]
+    without = problem.with_replicates(every, np.repeat(problem.prior_mean, count, axis=0))
     starts = _starts(result, q)
     lane = np.repeat(np.arange(count), len(starts))
     value = minimise(without, np.tile(starts, (count, 1)), q.low, q.high, lane=lane, max_steps=MOST_STEPS).value
@@ -515,10 +492,10 @@ def _outliers(result: "FitResult") -> Iterator[tuple[float, int, str]]:
 def _offered(result: "FitResult", tried: Iterable[tuple[float, int, str]]) -> list[str]:
     """Suggestions with their χ², the best first.
 
-    If that is accepted, or much lower per degree of freedom.
+    If that is accepted, or falls to a fifth per degree of freedom.
     """
     least = IMPROBABLE if (result.p_value or 0.0) < IMPROBABLE else SCATTERED
-    most, found = MUCH * result.deviance / (result.testable_dof or 1), []
+    most, found = 0.2 * result.deviance / (result.testable_dof or 1), []
     for deviance, more, text in tried:
         dof = (result.testable_dof or 0) - more
         if dof > 0 and (chdtrc(dof, deviance) >= least or deviance / dof < most):

@@ -16,11 +16,9 @@ from slippulse_jax.inference.search.intervals import LEVELS
 if TYPE_CHECKING:
     from slippulse_jax.inference.result.result import FitResult
 
-Along = Literal["height", "push_height"]
-INPUTS: dict[Along, str] = {"height": "log_height", "push_height": "log_push"}
+Abscissa = Literal["height", "push_height"]
+INPUTS: dict[Abscissa, str] = {"height": "log_height", "push_height": "log_push"}
 """Input of the model that varies along a curve, by the column of the table."""
-NODES = 25
-"""Values of a single parameter whose curves make up a band."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -67,7 +65,7 @@ class LengthCurve:
         result, level = self.result, LEVELS[-1]
         if result.problem.p == 1:
             free, pieces = result.parameters.free[0], result.intervals[result.names[0]][level]
-            each = [np.linspace(free.theta(piece.low), free.theta(piece.high), NODES)[:, None] for piece in pieces]
+            each = [np.linspace(free.theta(piece.low), free.theta(piece.high), 25)[:, None] for piece in pieces]
             return [(family.min(axis=0), family.max(axis=0)) for family in map(self._lengths, each)]
         if result.covariance is None:
             return []
@@ -85,7 +83,7 @@ class LengthCurve:
 
 
 def curve(
-    result: "FitResult", rows: ArrayLike, heights: ArrayLike, theta: np.ndarray | None = None, *, along: Along = "height"
+    result: "FitResult", rows: ArrayLike, heights: ArrayLike, theta: np.ndarray | None = None, *, along: Abscissa = "height"
 ) -> LengthCurve:
     """Predict the lengths of measurements like some of these at other heights.
 
@@ -124,30 +122,25 @@ def curve(
     return LengthCurve(result, result.theta if theta is None else theta, inputs, scale, offset)
 
 
-def abscissa(result: "FitResult") -> Along:
-    """What leaves fewer curves to draw: height of block or push."""
-    if result.measurements.push_height is None or result.parameters.front.body != "block":
-        return "height"
-    return min(INPUTS, key=lambda along: len(alike(result, result.theta, along)))
+def groups(result: "FitResult") -> tuple[Abscissa, list[np.ndarray]]:
+    """What lengths are drawn against, and which measurements lie on one curve.
 
-
-def on_one_curve(result: "FitResult", along: Along) -> list[np.ndarray]:
-    """Group the measurements that lie on one curve, in order.
-
-    They are equal but for what is drawn along. Inputs with an error are those fitted where every curve then has two heights,
-    else those stated.
+    The height of block or push, whichever leaves fewer curves. Measurements on a curve are equal but for that: in the inputs
+    fitted, if every curve then has two heights, else in those stated.
     """
-    at = getattr(result.measurements, along)
+    q, m, along = result.parameters, result.measurements, "height"
+    if m.push_height is not None and q.front.body == "block":
+        along = min(INPUTS, key=lambda one: len(alike(result, result.theta, one)))
     found = alike(result, result.theta, along)
-    if all(np.ptp(at[rows]) > 0 for rows in found):
-        return found
-    stated = [one.prior_mean if one.nuisance else t for one, t in zip(result.parameters.free, result.theta, strict=True)]
-    return alike(result, np.array(stated), along)
+    if not all(np.ptp(getattr(m, along)[rows]) > 0 for rows in found):
+        stated = [one.prior_mean if one.nuisance else t for one, t in zip(q.free, result.theta, strict=True)]
+        found = alike(result, np.array(stated), along)
+    return along, found
 
 
-def alike(result: "FitResult", theta: np.ndarray, apart_from: Along | None = None) -> list[np.ndarray]:
+def alike(result: "FitResult", theta: np.ndarray, apart_from: Abscissa | None = None) -> list[np.ndarray]:
     """Group measurements of equal inputs at θ, apart from a height."""
-    inputs, contact = result.parameters.inputs_at(theta), result.measurements.correlation_length
+    inputs, contact = result.parameters.inputs.at(theta), result.measurements.correlation_length
     same = [inputs.get(name) for name in inputs.names if apart_from is None or name != INPUTS[apart_from]]
     keys = np.column_stack([np.round(same, 9).T, np.zeros_like(inputs.poisson) if contact is None else contact])
     _, group = np.unique(keys, axis=0, return_inverse=True)
@@ -183,4 +176,4 @@ def field(result: "FitResult", row: int, observable: str, position: ArrayLike) -
     inputs = read.inputs.at(result.theta).take(np.full(len(x), read.rows[datum]))
     true_contact, unit = (np.exp(q.scales[name](result.theta)[row]) for name in ("position", observable))
     place = np.log(np.maximum(x / (contact[row] * true_contact), 1e-9))
-    return of_observable(observable, q.front, inputs.given(log_position=place)).value * unit
+    return of_observable(observable, q.front, inputs.given(log_position=place))[0] * unit

@@ -49,22 +49,12 @@ CONSTANTS = {
     "friction": ("μ", 1.0, ""),
 }
 """Constants of the material by column: symbol, factor and unit with which papers state them."""
-NONE = 1e-6
-"""Change of a prestress, or of another number of either sign, that is none."""
-WIDEST = 110
-"""Characters of the longest sentence in the box."""
-DECADES = 4
-"""Of stiffness below a root, from which bounds that hold it begin."""
 MOST_VALUES = 4
 """Most values in the title of a picture."""
 CORRELATED, MOST_CORRELATIONS = 0.5, 5
 """Correlation above which one is shown, and how many at most."""
-ALIKE = 0.05
-"""Difference of two deviances below which the report prefers neither point."""
 MOST_ROOTS, MOST_RATIOS = 4, 6
 """Most points that fit, and most ratios of stiffnesses between all pairs of specimens, that are listed."""
-PULLED = 1.0
-"""Pull, in stated errors of an input, below which it is not mentioned: it hardly moves the result."""
 UNEVEN, UNEVEN_TOTAL = 0.2, 0.1
 """Relative difference between a side of the 68 % interval and the standard error, without and with inputs taken as exact, above
 which the error is given as an interval."""
@@ -77,7 +67,7 @@ def report(result: "FitResult", *, verbose: bool = False) -> str:
     """
     remarks = [note for note in result.notes if note not in result.suspicions]
     lists, shown = {"What to try next": result.next_steps, "Remarks": remarks}, _with_totals(result)
-    box = [*_values(result, shown), *(line for text in _sentences(result, shown) for line in _folded(text, WIDEST))]
+    box = [*_values(result, shown), *(line for text in _sentences(result, shown) for line in _folded(text, 110))]
     width = max(map(len, box))
     parts = [
         [f"┌{'─' * (width + 2)}┐", *(f"│ {line:{width}s} │" for line in box), f"└{'─' * (width + 2)}┘"],
@@ -256,7 +246,7 @@ def _with_error(
     text = WITHOUT_VALUE.get(verdict) or value_with_error(value * size, None if error is None else error * size)
     if verdict is not Identifiability.SEVERAL_ROOTS or not judged:
         return text
-    alike = sum(root.deviance < result.deviance + ALIKE for root in result.roots)
+    alike = sum(root.deviance < result.deviance + 0.05 for root in result.roots)  # of which none is preferred
     some = f"{text} ({'one' if alike > 1 else 'best'} of {len(result.roots)})"
     return some if result.points else WITHOUT_VALUE[Identifiability.EQUAL]
 
@@ -379,7 +369,7 @@ def _quality(result: "FitResult") -> str:
         return data  # the verdict has the rest; counts and limits that hold cost nothing
     misfit = f"{problem.named_deviance} {format_number(round(result.misfit, 9), 3)}"  # no rounding errors
     if result.p_value is not None:
-        fits = f"{misfit}{problem.of_inputs(result.theta)}{problem.tested(result.p_value, result.testable_dof)}"
+        fits = f"{misfit}{problem.from_priors(result.theta)}{problem.tested(result.p_value, result.testable_dof)}"
     elif result.dof > 0:
         fits = f"{misfit}, {degrees} of freedom"
     else:
@@ -436,7 +426,7 @@ def _roots(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
     """Tabulate the points that fit, if several, with their own errors."""
     if not result.points:
         return []
-    rows = [[*(shown[name].symbol for name in result.roots[0].values), "chi-squared" if result.problem.plain else "deviance"]]
+    rows = [[*(shown[name].symbol for name in result.roots[0].values), result.problem.named_deviance]]
     for root in result.roots[:MOST_ROOTS]:
         again = "; the edge contact breaks again before the front stops" if root.rebreaks else ""
         values = [value_with_error(value, root.stderrs[name]) for name, value in root.values.items()]
@@ -455,13 +445,16 @@ def _roots(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
 
 
 def _bounds(result: "FitResult") -> tuple[float, float] | None:
-    """Round bounds of a stiffness that hold only the first root."""
+    """Round bounds of a stiffness that hold only the first root.
+
+    From four decades below it.
+    """
     stiff = [name for name in result.names if result.parameters.named(name).name in STIFFNESSES]
     if len(stiff) != 1:
         return None
     one, curve, j = result.parameters.named(stiff[0]), result.curves[stiff[0]], result.parameters.index(stiff[0])
     first, *others = (root.theta[j] for root in result.roots)
-    limits = [max(one.low, math.log(10) * (math.floor(first / math.log(10)) - DECADES)), one.high]
+    limits = [max(one.low, math.log(10) * (math.floor(first / math.log(10)) - 4)), one.high]
     for other in others:
         between = (curve.node > min(first, other)) & (curve.node < max(first, other))
         if not between.any():
@@ -507,7 +500,7 @@ def _move(result: "FitResult", shown: dict[str, Shown], change: Change, name: st
     if math.isnan(by):
         return change.otherwise
     if not result.parameters.named(name).log:
-        return f"{by * shown[name].size:+.2g} {shown[name].unit}".rstrip() if abs(by) > NONE else "0"
+        return f"{by * shown[name].size:+.2g} {shown[name].unit}".rstrip() if abs(by) > 1e-6 else "0"
     ratio = math.exp(by)
     if len(change.moves[name]) > 1 or change.name in ("push_width", "pressure") or not 1 / MANY < ratio < MANY:
         return f"× {format_number(ratio, 2)}"
@@ -571,7 +564,7 @@ def _details(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
         f"  data    {m.source} ({counted})",
         f"  model   {q.front.name}, uniform interface, {body} ({q.front.length_modelled})",
     ]
-    stiffest = q.inputs_at(np.array([one.prior_mean if one.nuisance else one.high for one in q.free])).ratio.max()
+    stiffest = q.inputs.at(np.array([one.prior_mean if one.nuisance else one.high for one in q.free])).ratio.max()
     for name, one in ((name, q.named(name)) for name in result.names):
         low, high = (format_number(one.value(x), 2) for x in (one.low, one.high))
         top, prior = f" (k/K up to {stiffest:.3g})" * ("areal" in one.name), shown[name].prior
@@ -598,7 +591,7 @@ def _details(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
 def _ratios(result: "FitResult") -> str:
     """State the range of k/K, and why it is not one number."""
     q, m = result.parameters, result.measurements
-    ratio = ends(q.inputs_at(result.theta).ratio, 4)
+    ratio = ends(q.inputs.at(result.theta).ratio, 4)
     several = sum(one.name in STIFFNESSES for one in q.free) > 1
     differ = [sign for sign, x in (("λc", m.correlation_length), ("E", m.young)) if x is not None and np.ptp(x) > 0]
     why = ["one for each specimen"] * (several or not differ)
@@ -712,7 +705,7 @@ def _of_pulls(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
         off = theta - one.prior_mean
         usual = math.sqrt(max(one.prior_sigma**2 - variance, 1e-12 * one.prior_sigma**2))
         chance = 1 - (1 - 2 * ndtr(-abs(off) / usual)) ** len(known)
-        if abs(off) > PULLED * one.prior_sigma and chance < SCATTERED:
+        if abs(off) > one.prior_sigma and chance < SCATTERED:  # a smaller pull hardly moves the result
             pulled.setdefault(one.name, []).append(f"{shown[one.label].symbol} by {off / one.prior_sigma:+.2f} σ")
     if not pulled:
         return

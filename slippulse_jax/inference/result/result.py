@@ -226,14 +226,14 @@ class FitResult:
 
         Without model factor and offset, which belong to the measurement. −1 where it never stops; shape (n,).
         """
-        front = self.parameters.front.lengths(self.parameters.inputs_at(self.theta))
+        front = self.parameters.front.lengths(self.parameters.inputs.at(self.theta))
         stops = np.isfinite(front)
         return np.where(stops, np.maximum(np.ceil(np.where(stops, front, 0)), 1), -1).astype(int)
 
     @functools.cached_property
     def front_status(self) -> np.ndarray:
         """`Outcome` of each front at the best fit, shape (n,)."""
-        return self.parameters.front.status(self.parameters.inputs_at(self.theta))
+        return self.parameters.front.status(self.parameters.inputs.at(self.theta))
 
     @functools.cached_property
     def regime(self) -> Regime:
@@ -242,7 +242,7 @@ class FitResult:
         Lengths in λc of the table, where λc is fitted too.
         """
         q = self.parameters
-        found, contact = q.front.regime(q.inputs_at(self.theta)), np.exp(q.scales["position"](self.theta))
+        found, contact = q.front.regime(q.inputs.at(self.theta)), np.exp(q.scales["position"](self.theta))
         return found._replace(slow_decay_length=found.slow_decay_length * contact)
 
     @property
@@ -293,6 +293,7 @@ class FitResult:
 
     changes = functools.cached_property(find_changes)
     next_steps = functools.cached_property(suggestions)
+    groups = functools.cached_property(predicted.groups)
     curve = predicted.curve
     field = predicted.field
     bootstrap = samples.bootstrap
@@ -303,12 +304,6 @@ class FitResult:
     _repr_html_ = printer.html_of
     to_dict = record.to_dict
     to_dataframe = record.to_dataframe
-
-    @functools.cached_property
-    def groups(self) -> tuple[predicted.Along, list[np.ndarray]]:
-        """What lengths are drawn against, and which measurements lie on one curve."""
-        along = predicted.abscissa(self)
-        return along, predicted.on_one_curve(self, along)
 
     @functools.cached_property
     def totals(self) -> dict[str, tuple[float | None, Interval | None]]:

@@ -1,7 +1,7 @@
 """Samples of the fitted parameters: refits, or draws from the posterior.
 
 All refits of a bootstrap are one batch. The posterior is sampled by the No-U-Turn sampler, which needs the extra ``bayes``
-(numpyro and ArviZ). Its density is that of the fit (`slippulse_jax.inference.search.likelihood.log_density`); a parameter
+(numpyro and ArviZ). Its density is that of the fit (`slippulse_jax.inference.search.likelihood.Problem.traced`); a parameter
 without a prior is flat over the range searched, a positive one in its logarithm.
 """
 
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 Bootstrap = Literal["parametric", "case"]
 """Kinds of a bootstrap."""
 
-MOST_STARTS = 4
 GOOD_RHAT = 1.01
 GOOD_ESS = 400.0
 
@@ -217,7 +216,7 @@ def bootstrap(result: "FitResult", count: int = 1000, *, kind: Bootstrap = "para
 
 def refitted(result: "FitResult", problem: Problem, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """θ, deviance, convergence of the best refit, of converged ones first."""
-    starts = np.array([one.theta for one in result.roots[:MOST_STARTS]] or [result.theta])
+    starts = np.array([one.theta for one in result.roots[:4]] or [result.theta])
     q, many = result.parameters, len(starts)
     lane = np.repeat(np.arange(count), many)
     ends = minimise(problem, np.tile(starts, (count, 1)), q.low, q.high, lane=lane)
@@ -230,7 +229,7 @@ def refitted(result: "FitResult", problem: Problem, count: int) -> tuple[np.ndar
 def simulated(result: "FitResult", count: int, rng: np.random.Generator) -> Problem:
     """Draw measurements from the fit, and inputs from their priors."""
     problem, q = result.problem, result.parameters
-    values, weights = {}, {}
+    every = []
     for data in problem.observed:
         mu = problem.predict(result.theta, data.observable)[0]
         sigma = data.sigma
@@ -239,21 +238,19 @@ def simulated(result: "FitResult", count: int, rng: np.random.Generator) -> Prob
         drawn = mu + sigma * noise
         whole, beyond = data.kind == "whole", data.kind == "at_least"
         drawn = np.where(whole, np.maximum(np.ceil(drawn), 1), drawn)
-        values[data.observable] = np.where(beyond, data.value[0], drawn)
-        weights[data.observable] = np.ones((count, len(mu)))
+        every.append((np.where(beyond, data.value[0], drawn), np.ones((count, len(mu)))))
     spread = np.array([one.prior_sigma for one in q.free])
     means = np.repeat(problem.prior_mean, count, axis=0)
     known = np.isfinite(spread)
     means[:, known] = result.theta[known] + spread[known] * rng.standard_normal((count, int(known.sum())))
-    return problem.with_replicates(values, weights, means)
+    return problem.with_replicates(every, means)
 
 
 def _resampled(result: "FitResult", count: int, rng: np.random.Generator) -> Problem:
     problem, n = result.problem, len(result.measurements)
     often = rng.multinomial(n, np.full(n, 1 / n), size=count).astype(float)
-    values = {data.observable: np.repeat(data.value, count, axis=0) for data in problem.observed}
-    weights = {data.observable: often[:, data.measurement] for data in problem.observed}
-    return problem.with_replicates(values, weights, np.repeat(problem.prior_mean, count, axis=0))
+    every = [(np.repeat(data.value, count, axis=0), often[:, data.measurement]) for data in problem.observed]
+    return problem.with_replicates(every, np.repeat(problem.prior_mean, count, axis=0))
 
 
 def posterior(

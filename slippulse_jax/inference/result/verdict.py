@@ -20,34 +20,27 @@ SCATTERED = 0.05
 UNCHANGED = "at that maximum the length does not change with stiffness"
 COVERED = (0.64, 0.93)
 """Shares of simulated estimates within 1 and 1.96 standard errors below which no standard error is given."""
-WITHIN = 7
-"""Points per piece of an interval at which to test whether a contact breaks again."""
 PLATEAU = 0.97  # of the longest attainable length, above which a length constrains stiffness little
 
 
 class Identifiability(enum.Enum):
-    """Whether data determine a parameter; values are sentences of the report."""
+    """Whether data determine a parameter: sentences of the report, the gravest first."""
 
-    IDENTIFIED = "identified"
-    SEVERAL_ROOTS = "not identifiable as one number: more than one value fits"
-    AT_MAXIMUM = "not identifiable: the length is at or above the attainable maximum"
-    ONE_SIDED = "bounded on one side only"
-    AT_BOUND = "not identifiable: the best fit lies at an end of the range searched"
-    SKEWED = "identified, but not with a symmetric error"
-    REBREAKS = "identified for the first front only: in the model the edge breaks again and the event goes on"
-    EQUAL = "bounded, without a best value: all values inside the interval fit equally"
-    UNINFORMATIVE = "not identifiable: no value is preferred"
-    NO_SCATTER = "a value without an error: the lengths agree too closely to be measurements"
-    POOR_FIT = "the model does not describe these data"
     NOT_CONVERGED = "the search did not converge"
+    POOR_FIT = "the model does not describe these data"
+    UNINFORMATIVE = "not identifiable: no value is preferred"
+    AT_BOUND = "not identifiable: the best fit lies at an end of the range searched"
+    AT_MAXIMUM = "not identifiable: the length is at or above the attainable maximum"
+    NO_SCATTER = "a value without an error: the lengths agree too closely to be measurements"
+    SEVERAL_ROOTS = "not identifiable as one number: more than one value fits"
+    ONE_SIDED = "bounded on one side only"
+    EQUAL = "bounded, without a best value: all values inside the interval fit equally"
+    REBREAKS = "identified for the first front only: in the model the edge breaks again and the event goes on"
+    SKEWED = "identified, but not with a symmetric error"
+    IDENTIFIED = "identified"
 
 
-GRAVITY = (
-    Identifiability.NOT_CONVERGED, Identifiability.POOR_FIT, Identifiability.UNINFORMATIVE, Identifiability.AT_BOUND,
-    Identifiability.AT_MAXIMUM, Identifiability.NO_SCATTER, Identifiability.SEVERAL_ROOTS, Identifiability.ONE_SIDED,
-    Identifiability.EQUAL, Identifiability.REBREAKS, Identifiability.SKEWED, Identifiability.IDENTIFIED,
-)  # fmt: skip
-
+GRAVITY = tuple(Identifiability)
 GIVEN = (Identifiability.IDENTIFIED, Identifiability.SKEWED, Identifiability.REBREAKS)
 """Verdicts with a value."""
 
@@ -64,18 +57,9 @@ def judge(
 ) -> tuple[Verdict, Intervals]:
     """Judge whether parameter j has an error; return its intervals too.
 
-    Parameters
-    ----------
-    problem : Problem
-    found : Found
-        With what follows from it, as `testable_dof`.
-    j : int
-    profiled : dict
-        Pieces of the profile-likelihood interval of θ_j by level, or those that counts allow.
-    reported : dict
-        The same, or those of simulated measurements.
-    at_odds : list of int, optional
-        For counts without an error: those at odds with the others.
+    `found` with what follows from it, as `testable_dof`. `profiled` are the profile-likelihood intervals of θ_j, or those that
+    counts allow; `reported` the same, or those of simulated measurements. Of counts without an error, `at_odds` are those at
+    odds with the others.
     """
     pieces = profiled[LEVELS[-1]]
     if at_odds is None:
@@ -108,7 +92,7 @@ def _of_fit(problem: Problem, found: Found, j: int) -> Iterator[Verdict]:
     if p_value is not None and p_value < IMPROBABLE and not _above_maximum(problem, found):  # of which `_of_range` says more
         at = f" (the best fit lies at its {end} end)" if (end := _end(problem, found.theta, j)) else ""
         misfit = format_number(found.deviance - problem.perfect, 3)
-        told = f"{misfit}{problem.of_inputs(found.theta)}{problem.tested(p_value, dof)}"
+        told = f"{misfit}{problem.from_priors(found.theta)}{problem.tested(p_value, dof)}"
         yield Verdict(
             Identifiability.POOR_FIT,
             f"{problem.named_deviance} is {told}: with the stated σ nothing in the range searched{at} gives these "
@@ -228,8 +212,8 @@ def _breaks_again(problem: Problem, curve: Curve, j: int, pieces: list[Interval]
     q = problem.parameters
     if not pieces:
         return None
-    value = np.concatenate([np.linspace(piece.low, piece.high, WITHIN) for piece in pieces])
-    inputs = q.inputs_at(np.stack([np.interp(value, curve.node, column) for column in curve.theta.T], axis=1))
+    value = np.concatenate([np.linspace(piece.low, piece.high, 7) for piece in pieces])
+    inputs = q.inputs.at(np.stack([np.interp(value, curve.node, column) for column in curve.theta.T], axis=1))
     rows = q.rows_of(j)
     again = q.front.breaks_again(inputs.ravel()).reshape(len(value), -1)[:, rows].any(axis=1)
     if not again.any():
@@ -280,8 +264,7 @@ def directions(problem: Problem, theta: np.ndarray) -> list[dict[str, Any]]:
     """
     q = problem.parameters
     unit = np.array([1.0 if one.log else one.high - one.low for one in q.free])
-    _, jacobian = problem.information(theta)
-    _, values, vectors = np.linalg.svd(jacobian * unit, full_matrices=False)
+    _, values, vectors = np.linalg.svd(problem.jacobian(theta) * unit, full_matrices=False)
     nothing = values <= 1e-7 * max(values.max(), 1e-300)
     stderr = np.where(nothing, np.inf, 1 / np.where(nothing, 1, values)).tolist()
     found = zip(vectors, stderr, strict=True)

@@ -24,8 +24,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri, fdtri
 
+from slippulse_jax.inference.choices import IntervalsBy
 from slippulse_jax.inference.search.likelihood import Problem
-from slippulse_jax.inference.search.minima import SLACK, Curve, Found, Grid, Root, first_edges
+from slippulse_jax.inference.search.minima import SLACK, Curve, DevianceGrid, Found, Root, first_edges
 from slippulse_jax.inference.search.minimise import minimise
 
 LEVELS = (0.6827, 0.95)
@@ -34,9 +35,6 @@ NODES = 61  # of a profile of one of several parameters, over its whole range
 STEPS_AROUND = np.array([0.1, 0.25, 0.5, 0.75, 1, 1.25, 1.6, 2, 2.5, 3, 4, 6])  # in standard errors of a root
 STARTS_KEPT = 2  # per node, and of the low points of a grid
 EXCLUDED = 100.0  # expected deviance above the least, above which a node is left out, or not minimised to the end
-STEPS = 25  # of a minimisation at a node
-AT_NODES = 1e-7  # Newton decrement at which it ends
-CROSSING_ROUNDS = 60
 CROSSED = 1e-5  # distance of the root of the rise from that of a limit at which an end is found: 10⁻⁵ of the interval
 LARGEST = 1e12  # rise that a crossing is sought with; a measured length whose event does not stop has none
 SIMULATIONS = {1: 2000, 2: 500}
@@ -44,7 +42,6 @@ SIMULATIONS = {1: 2000, 2: 500}
 RESOLUTION = {1: 0.15, 2: 0.3}
 """Spacing of the table of predictions, in standard errors of all measurements together."""
 MOST_NODES, MOST_VALUES = {1: 2000, 2: 120}, {1: 60, 2: 30}
-MOST_OTHERS = 80  # values of a second parameter at each of the first
 ONE_THREAD = 4 * 2**16
 """Multiplications up to which OpenBLAS uses one thread: larger products, split over two, took ten times as long."""
 STRAIGHT = 1.15
@@ -100,21 +97,15 @@ def rise_of(level: float, parameters: int = 1, dof: float | None = None) -> floa
 def constrained(problem: Problem, held: np.ndarray, nodes: np.ndarray, starts: np.ndarray, *, enough: float = np.inf) -> Curve:
     """Least deviance at every node, with the `held` coordinates fixed there.
 
-    Parameters
-    ----------
-    held : array of bool, shape (p,)
-    nodes : array, shape (g, number held)
-    starts : array, shape (s, p) or (g, s, p)
-        Values of the other coordinates to start from.
-    enough : float
-        Deviance above which that of a node need not be the least.
+    `held` is of shape (p,), `nodes` (g, number held). The other coordinates start from `starts`, (s, p) or (g, s, p). Above
+    `enough`, the deviance of a node need not be the least.
     """
     starts = np.broadcast_to(starts, (len(nodes), *starts.shape[-2:])).copy()
     starts[:, :, held] = nodes[:, None, :]
     count, many, p = starts.shape
     holding = dataclasses.replace(problem, held=held)
     box = problem.parameters.low, problem.parameters.high
-    how = {"max_steps": STEPS, "tolerance": AT_NODES, "enough": enough / 2}
+    how = {"max_steps": 25, "tolerance": 1e-7, "enough": enough / 2}
     found = minimise(holding, starts.reshape(-1, p), *box, held=held, **how)
     value = found.value.reshape(count, many)
     best = value.argmin(axis=1)
@@ -122,16 +113,11 @@ def constrained(problem: Problem, held: np.ndarray, nodes: np.ndarray, starts: n
     return Curve(nodes[:, 0], 2 * value[rows, best], found.theta.reshape(count, many, p)[rows, best])
 
 
-def profile(problem: Problem, j: int, roots: list[Root], seeds: np.ndarray, grid: Grid | None = None) -> Curve:
+def profile(problem: Problem, j: int, roots: list[Root], seeds: np.ndarray, grid: DevianceGrid | None = None) -> Curve:
     """Profile of parameter j, with nodes crowded around every root.
 
-    Parameters
-    ----------
-    roots : list of Root
-    seeds : array, shape (s, p)
-        Other good points to start from.
-    grid : Grid, optional
-        Of the search: its nodes, for a single parameter; its low points to start from, for several.
+    `seeds`, (s, p), are other good points to start from. The `grid` of the search has the nodes, for a single parameter, and
+    low points to start from, for several.
     """
     low, high = problem.parameters.low[j], problem.parameters.high[j]
     spread = np.linspace(low, high, NODES) if grid is None or problem.p > 1 else grid.theta[:, 0]
@@ -181,13 +167,7 @@ def _from_neighbours(problem: Problem, held: np.ndarray, curve: Curve, enough: f
 
 
 def allowed(problem: Problem, j: int, curve: Curve, limits: dict[float, float]) -> Intervals:
-    """Intervals of θ_j with a deviance below each limit, in increasing order.
-
-    Parameters
-    ----------
-    limits : dict
-        Deviance allowed, by confidence level.
-    """
+    """Intervals of θ_j with a deviance below the limit of each level."""
     inside = {level: curve.deviance <= limit for level, limit in limits.items()}
     ends = iter(_crossings(problem, j, curve, [(i, limits[level]) for level, own in inside.items() for i in _changes(own)]))
     return {level: pieces_of(curve.node, own, [next(ends) for _ in _changes(own)]) for level, own in inside.items()}
@@ -209,7 +189,7 @@ def _crossings(problem: Problem, j: int, curve: Curve, brackets: list[tuple[int,
     ends, near = (np.stack([x[index], x[index + 1]], axis=1) for x in (curve.node, curve.theta))
     value = np.stack([above(curve.deviance[index + k], work) for k in (0, 1)], axis=1)
     at, rises, last = ends[:, 0].copy(), value[:, 1] > 0, np.full(len(index), -1)
-    for round_ in range(CROSSING_ROUNDS):
+    for round_ in range(60):
         if not len(work):
             break
         share = value[work, 0] / (value[work, 0] - value[work, 1])
@@ -239,7 +219,7 @@ def profile_2d(problem: Problem, i: int, j: int, first: np.ndarray, second: np.n
 # --- by simulation ----------------------------------------------------------------------------------------------------
 
 
-class Table(NamedTuple):
+class Predictions(NamedTuple):
     """Predictions at M values of one parameter, for several of another."""
 
     node: np.ndarray  # (M,), θ of the parameter
@@ -254,18 +234,10 @@ def can_be_calibrated(problem: Problem) -> bool:
     return problem.p <= 2 and problem.plain
 
 
-def to_be_simulated(problem: Problem, wanted: str, found: Found, pieces: dict[int, Intervals]) -> bool:
-    """Whether to simulate intervals: if requested, or where χ² would mislead.
+def to_be_simulated(problem: Problem, wanted: IntervalsBy, found: Found, pieces: dict[int, Intervals]) -> bool:
+    """Whether to simulate intervals: if wanted, or where χ² would mislead.
 
-    By default it would where valleys compete, or one is not parabolic.
-
-    Parameters
-    ----------
-    problem : Problem
-    wanted : {"auto", "profile", "calibrated"}
-    found : Found
-    pieces : dict
-        Profile-likelihood intervals of each θ_j.
+    By default it would where valleys compete, or one is not parabolic. `pieces` are the profile-likelihood intervals.
     """
     minima, deviance = found.minima, found.deviance
     if wanted == "calibrated":
@@ -287,38 +259,13 @@ def to_be_simulated(problem: Problem, wanted: str, found: Found, pieces: dict[in
     return False
 
 
-def calibrated(
-    problem: Problem,
-    levels: tuple[float, ...],
-    *,
-    curves: dict[int, Curve] | None = None,
-    seed: int = 0,
-) -> dict[int, tuple[Intervals, tuple[float, float]]]:
-    """Simulate the intervals of each θ_j.
+def calibrated(problem: Problem, j: int, curve: Curve, seed: int) -> tuple[Intervals, tuple[float, float]]:
+    """Simulate the intervals of θ_j, of which `curve` is the profile.
 
-    With the shares of estimates within 1 and 1.96 standard errors of its best value.
-
-    Parameters
-    ----------
-    problem : Problem
-        Of one or two parameters, and values with Gaussian errors.
-    levels : tuple of float
-    curves : dict, optional
-        Profile of each θ_j asked for; needed with two parameters.
-    seed : int
-        Of the simulations, `SIMULATIONS` per value looked at.
+    With the shares of estimates within 1 and 1.96 standard errors of its best value. At each of a number of values of θ_j
+    measurements are drawn, `SIMULATIONS` times, and fitted by a table of predictions.
     """
-    if problem.p == 1:
-        return {0: _simulated(problem, levels, 0, _along(problem), seed)}
-    if curves is None:
-        raise ValueError("calibrated intervals of two parameters need their profiles")
-    return {j: _simulated(problem, levels, j, _across(problem, j, curve), seed) for j, curve in curves.items()}
-
-
-def _simulated(
-    problem: Problem, levels: tuple[float, ...], j: int, table: Table, seed: int
-) -> tuple[Intervals, tuple[float, float]]:
-    """Simulate measurements at each θ_j and fit them by the table."""
+    table = _along(problem) if problem.p == 1 else _across(problem, j, curve)
     deviance = (table.off**2).sum(axis=1)
     rise = np.minimum.reduceat(deviance, np.searchsorted(table.column, np.arange(len(table.node)))) - deviance.min()
     candidates = np.nonzero(rise < HOPELESS)[0]
@@ -326,10 +273,10 @@ def _simulated(
     chosen = np.unique(np.concatenate([candidates[places], [int(np.argmin(rise))]]))
     noise = np.random.default_rng(seed).standard_normal((SIMULATIONS[problem.p], table.off.shape[1]), np.float32)
     found = [_refitted(table, int(one), noise) for one in chosen]
-    critical = np.quantile(np.array([rises for rises, _ in found]), levels, axis=1)
+    critical = np.quantile(np.array([rises for rises, _ in found]), LEVELS, axis=1)
     intervals = {
         level: _below(table.node, rise - np.interp(table.node, table.node[chosen], own))
-        for level, own in zip(levels, critical, strict=True)
+        for level, own in zip(LEVELS, critical, strict=True)
     }
     best = int(np.argmin(rise))
     estimates = table.node[found[int(np.searchsorted(chosen, best))][1]]
@@ -338,56 +285,50 @@ def _simulated(
     return intervals, (float((off <= 1).mean()), float((off <= 1.96).mean()))
 
 
-def _residuals(problem: Problem, theta: np.ndarray) -> np.ndarray:
-    """Residuals at points (B, p); very large where the front never stops."""
-    found = problem.residuals(theta)
-    return np.where(np.isfinite(found), found, 1e9)
-
-
 def _steps(off: np.ndarray) -> np.ndarray:
     """Distance from each row to the next, in σ."""
     return np.sqrt((np.diff(off, axis=0) ** 2).sum(axis=1))
 
 
-def _along(problem: Problem) -> Table:
+def _along(problem: Problem) -> Predictions:
     """Choose values of a single parameter, evenly spaced in the predictions."""
     low, high = problem.parameters.low[0], problem.parameters.high[0]
     node = np.linspace(low, high, 801)
     for _ in range(2):
-        path = np.concatenate([[0], np.cumsum(_steps(_residuals(problem, node[:, None])))])
+        path = np.concatenate([[0], np.cumsum(_steps(problem.residuals(node[:, None])))])
         count = int(np.clip(path[-1] / RESOLUTION[1], 400, MOST_NODES[1]))
         # values stay apart where the predictions are constant too, so that an open side is seen
         path = path / max(path[-1], 1e-300) + 0.1 * (node - low) / (high - low)
         node = np.interp(np.linspace(0, path[-1], count), path, node)
     every = np.arange(len(node))
-    return Table(node, every, node[:, None], every, _residuals(problem, node[:, None]))
+    return Predictions(node, every, node[:, None], every, problem.residuals(node[:, None]))
 
 
-def _across(problem: Problem, j: int, curve: Curve) -> Table:
+def _across(problem: Problem, j: int, curve: Curve) -> Predictions:
     """Choose values of θ_j along its profile, and of the other."""
     near = curve.deviance <= curve.deviance.min() + HOPELESS
     profile = np.nonzero(near)[0]
     profile = np.arange(max(profile[0] - 1, 0), min(profile[-1] + 2, len(near)))
-    path = np.concatenate([[0], np.cumsum(np.minimum(_steps(_residuals(problem, curve.theta[profile])), 3.0))])
+    path = np.concatenate([[0], np.cumsum(np.minimum(_steps(problem.residuals(curve.theta[profile])), 3.0))])
     path += 1e-3 * np.arange(len(path))
     count = int(np.clip(path[-1] / RESOLUTION[2], 12, MOST_NODES[2]))
     node = np.interp(np.linspace(0, path[-1], count), path, curve.node[profile])
     ridge = np.stack([np.interp(node, curve.node, column) for column in curve.theta.T], axis=1)
     other = 1 - j
     found = _not_hopeless(problem, j, node, ridge[:, other], float(curve.deviance.min()) + HOPELESS)
-    steps = _steps(_residuals(problem, _points(node, found, j)))
+    steps = _steps(problem.residuals(_points(node, found, j)))
     starts = np.cumsum([0] + [len(y) for y in found])
     for i, y in enumerate(found):
         # gaps between valleys are skipped
         path = np.concatenate([[0], np.cumsum(np.minimum(steps[starts[i] : starts[i + 1] - 1], 20.0))])
-        count = int(np.clip(path[-1] / RESOLUTION[2], 2, MOST_OTHERS))
+        count = int(np.clip(path[-1] / RESOLUTION[2], 2, 80))
         found[i] = np.append(np.interp(np.linspace(0, path[-1], count), path, y), ridge[i, other])
     theta = _points(node, found, j)
-    off = _residuals(problem, theta)
+    off = problem.residuals(theta)
     deviance = (off**2).sum(axis=1)
     starts = np.cumsum([0] + [len(y) for y in found])
     best = np.array([a + int(np.argmin(deviance[a:b])) for a, b in pairwise(starts)])
-    return Table(node, best, theta, np.repeat(np.arange(len(node)), np.diff(starts)), off)
+    return Predictions(node, best, theta, np.repeat(np.arange(len(node)), np.diff(starts)), off)
 
 
 def _not_hopeless(problem: Problem, j: int, node: np.ndarray, ridge: np.ndarray, limit: float) -> list[np.ndarray]:
@@ -400,7 +341,7 @@ def _not_hopeless(problem: Problem, j: int, node: np.ndarray, ridge: np.ndarray,
     low, high, count = problem.parameters.low[1 - j], problem.parameters.high[1 - j], len(node)
     every = np.linspace(low, high, NODES)
     row, ends = np.repeat(np.arange(count), NODES - 1), np.tile(np.stack([every[:-1], every[1:]], axis=1), (count, 1))
-    off = _residuals(problem, _points(node, [every] * count, j)).reshape(count, NODES, -1)
+    off = problem.residuals(_points(node, [every] * count, j)).reshape(count, NODES, -1)
     off = np.stack([off[:, :-1], off[:, 1:]], axis=2).reshape(len(row), 2, -1)
     kept = [(np.arange(count), ridge)]
     for _ in range(HALVINGS):
@@ -413,7 +354,7 @@ def _not_hopeless(problem: Problem, j: int, node: np.ndarray, ridge: np.ndarray,
             break
         row, ends, off = row[left], ends[left], off[left]
         middle = ends.mean(axis=1)
-        there = _residuals(problem, np.stack([node[row], middle] if j == 0 else [middle, node[row]], axis=1))
+        there = problem.residuals(np.stack([node[row], middle] if j == 0 else [middle, node[row]], axis=1))
         ends, off = (
             np.concatenate([np.stack([x[:, 0], y], axis=1), np.stack([y, x[:, 1]], axis=1)])
             for x, y in ((ends, middle), (off, there))
@@ -431,7 +372,7 @@ def _points(node: np.ndarray, others: list[np.ndarray], j: int) -> np.ndarray:
     return theta
 
 
-def _refitted(table: Table, true: int, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _refitted(table: Predictions, true: int, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rise of D at the truth, and best value, per simulation."""
     # single precision is enough: the table is far coarser
     off = (table.off - table.off[table.best[true]]).clip(-1e6, 1e6).astype(np.float32)

@@ -1,7 +1,7 @@
 """Log density of measurements and priors, of which every inference consists.
 
-`log_density(theta, problem)` is traced by JAX: −ln p of each datum given its prediction (`length_cost`, `count_cost`,
-`at_least_cost`), summed with the Gaussian priors. A fit evaluates it for thousands of θ at once by calling the `Problem`: the
+A `Problem` is −ln p of each datum given its prediction (`length_cost`, `count_cost`, `at_least_cost`), summed with the Gaussian
+priors. `Problem.traced` is a JAX function of one θ. A fit evaluates it for thousands of θ at once by calling the `Problem`: the
 predictions and their derivatives come from the models of `slippulse_jax.inference.model.fronts`, value and derivatives of the
 same cost functions from `jax.grad`, and the chain rule, θ being linear in the inputs, joins the two.
 
@@ -10,7 +10,7 @@ Constants are left out such that a datum the model meets exactly costs nothing: 
 
 import dataclasses
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache, partial
 from typing import NamedTuple
 
@@ -41,9 +41,6 @@ EXACT = 1e-12
 
 IMPROBABLE = 1e-3
 """Probability of χ² below which model and σ do not describe the data."""
-
-NOTHING = 1e-6
-"""Cost of a count, or of a front without arrest, below which the model meets it."""
 
 LAYOUT = Layout(chunk=128, fusion_emitters=False)
 """Layout of data for the compiled cost functions."""
@@ -117,32 +114,21 @@ def _cost(kind: str, loss: Loss) -> Callable[..., Array]:
     return partial(length_cost, loss=loss) if kind == "length" else COSTS[kind]
 
 
-def data_log_density(
-    mu: ArrayLike, value: ArrayLike, sigma: ArrayLike, kind: str = "length", exact: bool = False
-) -> np.ndarray:
+def data_log_density(mu: ArrayLike, value: ArrayLike, sigma: ArrayLike, kind: str) -> np.ndarray:
     """Log density of data given their predictions, without the constants.
 
-    Arrays that broadcast, NumPy float64.
-
-    Parameters
-    ----------
-    mu : array_like
-        Predictions; inf where the front never stops.
-    value, sigma : array_like
-        What was measured, and its standard error.
-    kind : {"length", "whole", "at_least"}
-    exact : bool
-        Whether a count with σ = 0 is its interval itself (`EXACT`), instead of one blurred as in a fit (`SHARPEST`).
+    Arrays that broadcast, NumPy float64; predictions are inf where the front never stops. A count with σ = 0 is its interval
+    itself, and not one blurred as in a fit.
     """
     numbers = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (mu, value, sigma)))
-    cost = over_lanes(_values(kind, exact and kind == "whole"), [x.ravel() for x in numbers], LAYOUT)[0]
+    cost = over_lanes(_values(kind), [x.ravel() for x in numbers], LAYOUT)[0]
     return -cost.reshape(numbers[0].shape)
 
 
 @cache
-def _values(kind: str, exact: bool) -> Kernel:
+def _values(kind: str) -> Kernel:
     """Cost of data (μ, value, σ)."""
-    cost = partial(count_cost, sharpest=EXACT) if exact else COSTS[kind]
+    cost = partial(count_cost, sharpest=EXACT) if kind == "whole" else COSTS[kind]
     return lambda columns: (jax.vmap(cost)(*columns),)
 
 
@@ -183,38 +169,13 @@ class Observations(NamedTuple):
     offset: Linear  # (n,)
 
 
-class Terms(NamedTuple):
-    """−ln p of every datum, (B, n), and its derivatives in μ."""
+def costs(mu: np.ndarray, data: Observations, lane: np.ndarray, loss: Loss) -> np.ndarray:
+    """−ln p of every datum, with its slope and bends in μ.
 
-    value: np.ndarray
-    slope: np.ndarray  # ∂/∂μ
-    curvature: np.ndarray  # positive Gauss–Newton part of ∂²/∂μ²
-    second: np.ndarray  # ∂²/∂μ²
-    information: np.ndarray  # its expectation under the model
-
-
-def terms(mu: np.ndarray, data: Observations, lane: np.ndarray, loss: Loss) -> Terms:
-    """−ln p of every datum, with derivatives.
-
-    Parameters
-    ----------
-    mu : array, shape (B, n)
-        Predictions.
-    data : Observations
-    lane : array of int, shape (B,)
-        Which replicate each lane belongs to.
-    loss : {"normal", "student"}
+    Of shape (4, B, n); the third is a positive bend, the last the full one. `mu` are predictions, (B, n), of replicates
+    `lane`, (B,).
     """
     value, weight = data.value[lane], data.weight[lane]
-    columns = _costs(mu, value, data, loss)
-    columns = np.where(weight > 0, columns, 0)  # a datum that is left out may cost inf, and 0 times inf is NaN
-    exact = data.kind == "length"
-    plain = np.where(np.isfinite(mu), INFORMATION[loss] / np.where(exact, data.sigma, 1) ** 2, 0)
-    return Terms(*(weight * x for x in (*columns, np.where(exact, plain, columns[2]))))
-
-
-def _costs(mu: np.ndarray, value: np.ndarray, data: Observations, loss: Loss) -> np.ndarray:
-    """Evaluate `_derivatives` for every datum, by its kind; shape (4, B, n)."""
     given = np.broadcast_arrays(mu, value, data.sigma)
     columns = np.empty((4, *mu.shape))
     for kind in COSTS:
@@ -222,7 +183,7 @@ def _costs(mu: np.ndarray, value: np.ndarray, data: Observations, loss: Loss) ->
         if there.any():
             found = over_lanes(_derivatives(kind, loss), [x[:, there].ravel() for x in given], LAYOUT)
             columns[:, :, there] = np.reshape(found, (4, len(mu), there.sum()))
-    return columns
+    return weight * np.where(weight > 0, columns, 0)  # a datum that is left out may cost inf, and 0 times inf is NaN
 
 
 class Evaluation(NamedTuple):
@@ -282,8 +243,8 @@ class Problem:
         if self.loss != "normal":
             return None
         data, lane = self.lengths, np.zeros(1, int)  # counts and fronts without arrest are lengths
-        costs = terms(self.predict(theta), data, lane, self.loss).value[0]
-        binding = (data.kind != "length") & (costs - self._least > NOTHING)
+        cost = costs(self.predict(theta), data, lane, self.loss)[0, 0]
+        binding = (data.kind != "length") & (cost - self._least > 1e-6)  # which the model does not meet
         dof = self.known + 2 * int((binding & (data.sigma > 0)).sum()) if binding.any() else self.known - self.p
         return dof if dof > 0 else None
 
@@ -317,9 +278,9 @@ class Problem:
         return self.count - int((self.lengths.kind != "length").sum())
 
     def __call__(self, theta: Float[np.ndarray, "B p"], lane: np.ndarray | None = None, order: int = 0) -> Evaluation:
-        """Evaluate −log_density at every θ, against replicate `lane` (the measurements by default).
+        """Evaluate −ln(likelihood × prior) at every θ, with derivatives to `order`.
 
-        Derivatives come to `order`.
+        Against replicate `lane`, by default the measurements.
         """
         theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
         lane = np.zeros(len(theta), dtype=int) if lane is None else lane
@@ -332,8 +293,14 @@ class Problem:
         return Evaluation(*map(np.concatenate, zip(*parts, strict=True)))
 
     def traced(self, theta: Float[Array, " p"]) -> Float[Array, ""]:
-        """The value at one θ as a JAX function."""
-        return -log_density(theta, self)
+        """The value at one θ, (p,), as a JAX function.
+
+        For `jax.jit`, `jax.vmap` and `jax.grad`, and up to rounding that of a call; in double precision only under
+        ``jax.enable_x64``. θ is in the order of `parameters.names`; the bounds are not part of it.
+        """
+        off = theta - jnp.asarray(self.prior_mean[0])
+        prior = (self.prior_weight * off**2).sum() / 2
+        return sum((_traced(theta, self, data) for data in self.observed), prior)
 
     def _evaluate(self, theta: np.ndarray, lane: np.ndarray, order: int) -> Evaluation:
         """Sum the cost over priors and observables, with its derivatives."""
@@ -344,15 +311,15 @@ class Problem:
         curvature = metric.copy()
         for data in self.observed:
             mu, first, second = self._predictions(data, theta, order)
-            cost = terms(mu, data, lane, self.loss)
-            value = value + cost.value.sum(axis=1)
+            cost, slope, positive, bend = costs(mu, data, lane, self.loss)
+            value = value + cost.sum(axis=1)
             if first is None:
                 continue
             across = np.swapaxes(first, 1, 2)
-            gradient = gradient + np.einsum("bn,bnp->bp", cost.slope, first)
-            metric = metric + np.matmul(across * cost.curvature[:, None, :], first)
+            gradient = gradient + np.einsum("bn,bnp->bp", slope, first)
+            metric = metric + np.matmul(across * positive[:, None, :], first)
             if second is not None:
-                curvature += np.matmul(across * cost.second[:, None, :], first) + np.einsum("bn,bnpq->bpq", cost.slope, second)
+                curvature += np.matmul(across * bend[:, None, :], first) + np.einsum("bn,bnpq->bpq", slope, second)
         return Evaluation(*(value, gradient, metric, curvature)[: (1, 3, 4)[order]])
 
     def _predictions(
@@ -388,14 +355,14 @@ class Problem:
         if self.tick is not None:
             self.tick(lanes * distinct)
         if directions is None:
-            (found, *_) = predicted(data.observable, self.parameters.front, inputs.ravel())
+            (found,) = predicted(data.observable, self.parameters.front, inputs.ravel())
             return (found.reshape(lanes, distinct)[:, data.rows] * scale + offset,)
         count = len(directions)
         moves = np.stack([directions @ data.inputs.get(name).slope.T for name in names], axis=-1)  # (D, distinct, inputs)
         way = np.repeat(moves[:, None], lanes, axis=1).reshape(-1, len(names))
         every = inputs.map(lambda x: np.broadcast_to(x, (count, lanes, distinct))).ravel()
         found = predicted(data.observable, self.parameters.front, every, way)
-        value, first, second = (np.asarray(x).reshape(count, lanes, distinct)[..., data.rows] * scale for x in found)
+        value, first, second = found.reshape(3, count, lanes, distinct)[..., data.rows] * scale
         # scales and offset change the prediction even where no input does, as with a held stiffness
         size = np.where(np.isfinite(value), value, 0)
         s, o = ((directions @ x.slope.T)[:, None] for x in (data.scale, data.offset))
@@ -411,7 +378,7 @@ class Problem:
         """``chi-squared``, where it is one."""
         return "chi-squared" if self.plain else "deviance"
 
-    def of_inputs(self, theta: np.ndarray) -> str:
+    def from_priors(self, theta: np.ndarray) -> str:
         """State the part of the deviance from fitted inputs and priors.
 
         It is that of values off their means, and no residual; empty where there is none.
@@ -455,29 +422,36 @@ class Problem:
         )
 
     def residuals(self, theta: np.ndarray) -> np.ndarray:
-        """Residuals in σ, priors last, if `plain`; shape (B, N + p)."""
+        """Residuals in σ, priors last, if `plain`; shape (B, N + p).
+
+        Very large where the front never stops.
+        """
         value = np.concatenate([data.value[0] for data in self.observed])
         sigma = np.concatenate([data.sigma for data in self.observed])
         known = np.sqrt(self.prior_weight) * (theta - self.prior_mean[0])
-        return np.concatenate([(self.predictions(theta) - value) / sigma, known], axis=1)
+        found = np.concatenate([(self.predictions(theta) - value) / sigma, known], axis=1)
+        return np.where(np.isfinite(found), found, 1e9)
 
     def predict(self, theta: np.ndarray, observable: str = "length") -> np.ndarray:
         """Predictions for one observable, (B, n), in λc, m or N/m."""
         (data,) = (one for one in self.observed if one.observable == observable)
         return self._predictions(data, np.atleast_2d(theta), 0)[0]
 
-    def information(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Fisher information, (p, p), and its scaled Jacobian, (n + priors, p)."""
+    def jacobian(self, theta: np.ndarray) -> np.ndarray:
+        """Jacobian over σ, (n + priors, p); its square is Fisher's information.
+
+        Of a value that is what the loss expects, of counts and limits the bend of their cost.
+        """
         theta = np.atleast_2d(theta)
         rows = []
         for data in self.observed:
             mu, first, _ = self._predictions(data, theta, 1)
-            cost = terms(mu, data, np.zeros(1, int), self.loss)
             assert first is not None
-            rows.append(np.sqrt(cost.information[0])[:, None] * first[0])
+            exact, (positive,) = data.kind == "length", costs(mu, data, np.zeros(1, int), self.loss)[2]
+            expected = np.where(np.isfinite(mu[0]), INFORMATION[self.loss] / np.where(exact, data.sigma, 1) ** 2, 0)
+            rows.append(np.sqrt(np.where(exact, data.weight[0] * expected, positive))[:, None] * first[0])
         rows.append(np.diag(np.sqrt(self.prior_weight)))
-        jacobian = np.concatenate(rows)
-        return jacobian.T @ jacobian, jacobian
+        return np.concatenate(rows)
 
     def widened(self, off: np.ndarray) -> "Problem":
         """Add an error of every length, in λc, in quadrature."""
@@ -500,26 +474,15 @@ class Problem:
         blunt = data._replace(sigma=np.where(sharp, width, data.sigma))
         return dataclasses.replace(self, observed=(blunt, *self.observed[1:])) if sharp.any() else self
 
-    def with_replicates(self, values: dict[str, np.ndarray], weights: dict[str, np.ndarray], means: np.ndarray) -> "Problem":
-        """Replace data, (R, n) by observable, and prior means, (R, p)."""
-        observed = tuple(
-            data._replace(value=values[data.observable], weight=weights[data.observable]) for data in self.observed
-        )
+    def with_replicates(self, drawn: Iterable[tuple[np.ndarray, np.ndarray]], means: np.ndarray) -> "Problem":
+        """Replace values and weights, (R, n) each, and prior means, (R, p)."""
+        both = zip(self.observed, drawn, strict=True)
+        observed = tuple(data._replace(value=value, weight=weight) for data, (value, weight) in both)
         return dataclasses.replace(self, observed=observed, prior_mean=means)
 
 
-def log_density(theta: Float[Array, " p"], problem: Problem) -> Float[Array, ""]:
-    """ln(likelihood × prior) of one θ, traced: for `jax.jit`, `jax.vmap` and `jax.grad`.
-
-    The numbers of −`problem(theta)`, up to rounding; in double precision only under ``jax.enable_x64``. θ is in the order of
-    ``problem.parameters.names``; the bounds are not part of it.
-    """
-    off = theta - jnp.asarray(problem.prior_mean[0])
-    prior = -(problem.prior_weight * off**2).sum() / 2
-    return sum((_log_likelihood(theta, problem, data) for data in problem.observed), prior)
-
-
-def _log_likelihood(theta: Array, problem: Problem, data: Observations) -> Array:
+def _traced(theta: Array, problem: Problem, data: Observations) -> Array:
+    """−ln p of the data of one observable at one θ."""
     relaxed = not any(x.base.any() or x.slope.any() for x in (data.inputs.prestress, data.inputs.threshold_slope))
     sites = _sites(problem, data) if data.observable in READINGS else 0
     options = {"sites": sites} if data.observable in READINGS else {}
@@ -539,7 +502,7 @@ def _log_likelihood(theta: Array, problem: Problem, data: Observations) -> Array
         there = np.nonzero(data.kind == kind)[0]
         if len(there):
             cost = _cost(kind, problem.loss)(mu[there], data.value[0][there], data.sigma[there])
-            total = total - (data.weight[0][there] * cost).sum()
+            total = total + (data.weight[0][there] * cost).sum()
     return total
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.model.parameters import STIFFNESSES, ParameterSet
-from slippulse_jax.inference.search.likelihood import EXPECTED, Problem, terms
+from slippulse_jax.inference.search.likelihood import EXPECTED, Problem, costs
 from slippulse_jax.inference.search.minimise import Convergence, Method, descend, minimise
 
 SCANNED = 3
@@ -23,32 +23,22 @@ NODES = {1: 257, 2: 33, 3: 13}
 """Nodes of the grid along each parameter, by the number of parameters."""
 SLACK = 16.0
 """Deviance above the least within which minima are reported: four standard errors."""
-MOST_STARTS = 64
-"""Local minima of the grid from which the search starts, the lowest."""
-
-RISEN = 1e-9
-"""Relative rise of the deviance between two points that separates two valleys: far above rounding."""
-
 UNMEASURABLE = 1e-4
 """Relative scatter of the lengths below which it is not an error of measurement."""
-TURNS, SETTLED = 100, 1e-10
-"""Largest number of alternations between fit and scale, and the relative change of the scale at which they end."""
 SAMPLES = 512
 """Points of the Sobol sequence; the best of them become starts."""
 STARTS = 32
 BETWEEN = 0.5
 """Error of a length by interpolation, in σ, above which the fit allows for it."""
-CROWDED = 24
-"""Largest number of different lengths whose peaks are scanned closely on both sides."""
 
 
-class Grid(NamedTuple):
-    """Deviance on a grid over the range searched."""
+class DevianceGrid(NamedTuple):
+    """Deviance on a grid, of one axis or several."""
 
     theta: np.ndarray  # (g_1, …, g_p, p)
     deviance: np.ndarray  # (g_1, …, g_p); inf where a front that was measured never stops
 
-    def lows(self, axes: Iterable[int]) -> np.ndarray:
+    def lows(self, axes: Iterable[int] = (0,)) -> np.ndarray:
         """Mark nodes lower than their neighbours, of equal ones the first."""
         found = np.isfinite(self.deviance)
         for axis in axes:
@@ -58,15 +48,15 @@ class Grid(NamedTuple):
         return found
 
     def starts(self) -> np.ndarray:
-        """Middle of the lowest floor, then local minima, lowest first; (s, p)."""
-        lows = self.lows(range(self.deviance.ndim))
-        if not lows.any():
-            return self.theta[lows]
+        """Middle of the lowest floor, then the lowest 64 minima; (s, p)."""
+        low = self.lows(range(self.deviance.ndim))
+        if not low.any():
+            return self.theta[low]
         floor = self.theta[self.deviance == self.deviance.min()]
         span = np.ptp(self.theta.reshape(-1, self.deviance.ndim), axis=0)
         middle = np.square((floor - floor.mean(axis=0)) / span).sum(axis=1).argmin()
-        ranked = np.argsort(self.deviance[lows], kind="stable")[:MOST_STARTS]
-        return np.concatenate([floor[[middle]], self.theta[lows][ranked]])
+        ranked = np.argsort(self.deviance[low], kind="stable")[:64]
+        return np.concatenate([floor[[middle]], self.theta[low][ranked]])
 
     def beside(self, j: int, at: np.ndarray, count: int) -> np.ndarray:
         """Lowest minima over the others next to θ_j; (len(at), count, p)."""
@@ -109,7 +99,7 @@ class Root:
     @functools.cached_property
     def inputs(self) -> Inputs:
         """Inputs of the model for each measurement, (n,)."""
-        return self.parameters.inputs_at(self.theta)
+        return self.parameters.inputs.at(self.theta)
 
     @property
     def ratio(self) -> np.ndarray:
@@ -137,7 +127,7 @@ class Found(NamedTuple):
     theta: np.ndarray  # (p,), of the least deviance met, at a minimum or not
     deviance: float
     unconverged: list[tuple[float, str]]  # deviance and message of the starts that did not converge
-    grid: Grid | None  # where one was searched
+    grid: DevianceGrid | None  # where one was searched
     curves: dict[int, Curve] = {}  # profiles of the requested parameters, where they were followed
     scatter: float | None = None  # factor on the stated σ, or on 1 λc, by which they match the scatter about the fit
     scatter_dof: float | None = None  # degrees of freedom left over by that
@@ -151,21 +141,12 @@ class Found(NamedTuple):
 def search(problem: Problem, *, method: Method, max_steps: int, seed: int, extra: np.ndarray | None = None) -> Found:
     """Find the minima within `SLACK` of the least, best first.
 
-    Parameters
-    ----------
-    problem : Problem
-    method : {"lm", "lbfgs", "adam"}
-    max_steps : int
-        Steps allowed each start.
-    seed : int
-        Seed of the starts with more than `SCANNED` parameters.
-    extra : array, shape (s, p), optional
-        Start here, and nowhere else.
+    `method` and `max_steps` are those of `minimise`, `seed` is that of the starts with more than `SCANNED` parameters. With
+    `extra`, (s, p), the search starts there and nowhere else.
     """
-    low, high = problem.parameters.low, problem.parameters.high
     grid = grid_of(problem) if extra is None else None
     starts = _starts(problem, grid, seed) if extra is None else extra
-    ends = descend(problem, starts, low, high, method=method, max_steps=max_steps)
+    ends = descend(problem, starts, method=method, max_steps=max_steps)
     near = ends.value <= ends.value.min() + SLACK / 2
     good = np.isin(ends.convergence, (Convergence.CONVERGED, Convergence.FLAT)) & np.isfinite(ends.value) & near
     order = np.nonzero(good)[0][np.argsort(ends.value[good], kind="stable")]
@@ -209,7 +190,7 @@ def between_contacts(problem: Problem, seed: int) -> np.ndarray | None:
     if not (concerned & (widest > BETWEEN * data.sigma)).any():
         return None
     theta = first_look(problem, seed)
-    off = q.front.uncertainty(q.inputs_at(theta))
+    off = q.front.uncertainty(q.inputs.at(theta))
     if off is None:
         return None
     off = np.where(concerned, off * np.exp(q.scales["length"](theta)), 0.0)
@@ -231,20 +212,7 @@ def scaled_to_scatter(problem: Problem, theta: np.ndarray, *, of_lengths: bool) 
     the fit does not use up. Errors of inputs keep the size that is stated for them: a parameter that its prior determines uses
     up none of the data.
 
-    Parameters
-    ----------
-    problem : Problem
-        With the σ stated.
-    theta : array, shape (p,)
-    of_lengths : bool
-        Scale the errors of lengths alone, instead of those of all data.
-
-    Returns
-    -------
-    problem : Problem
-        With σ of that size.
-    found : Found
-        The fit, and the size of σ.
+    The problem has the σ stated, and is returned with σ of that size, those of all data or `of_lengths` alone; with the fit.
     """
     q, factor, turns = problem.parameters, 1.0, 0
     widest = float(np.max(problem.lengths.sigma / problem.lengths.value[0]))
@@ -257,7 +225,7 @@ def scaled_to_scatter(problem: Problem, theta: np.ndarray, *, of_lengths: bool) 
         change = np.sqrt(deviance / dof / EXPECTED[problem.loss]) if dof > 1e-6 else 0.0
         turns += 1
         # a front that never stops has no fit
-        if not np.isfinite(deviance) or abs(change - 1) < SETTLED or turns == TURNS:
+        if not np.isfinite(deviance) or abs(change - 1) < 1e-10 or turns == 100:
             return sized, found._replace(scatter=factor, scatter_dof=dof)
         if factor * change * widest < UNMEASURABLE:
             least = UNMEASURABLE / widest
@@ -273,20 +241,20 @@ def _left_over(problem: Problem, theta: np.ndarray, of_lengths: bool) -> tuple[f
     scaled, deviance = problem.observed[: 1 if of_lengths else None], 0.0
     for data in scaled:
         mu = problem.predict(theta, data.observable)
-        deviance += 2 * float(terms(mu, data, np.zeros(1, int), problem.loss).value.sum())
-    jacobian = problem.information(theta)[1] * (problem.parameters.high - problem.parameters.low)
+        deviance += 2 * float(costs(mu, data, np.zeros(1, int), problem.loss)[0].sum())
+    jacobian = problem.jacobian(theta) * (problem.parameters.high - problem.parameters.low)
     own = jacobian[: sum(len(data.rows) for data in scaled)]  # the lengths come first, priors last
     used = np.trace(np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12, hermitian=True) @ (own.T @ own))
     return deviance, len(own) - float(used)
 
 
-def grid_of(problem: Problem) -> Grid | None:
+def grid_of(problem: Problem) -> DevianceGrid | None:
     """Compute the deviance on a grid; None beyond `SCANNED` parameters."""
     if problem.p > SCANNED:
         return None
     theta = np.stack(np.meshgrid(*first_edges(problem), indexing="ij"), axis=-1)
     value = problem(theta.reshape(-1, problem.p)).value
-    return Grid(theta, 2 * value.reshape(theta.shape[:-1]))
+    return DevianceGrid(theta, 2 * value.reshape(theta.shape[:-1]))
 
 
 def first_edges(problem: Problem) -> list[np.ndarray]:
@@ -326,7 +294,7 @@ def _counted(problem: Problem, j: int) -> np.ndarray:
     return theta[at, j] + share * (theta[at + 1, j] - theta[at, j])
 
 
-def _starts(problem: Problem, grid: Grid | None, seed: int) -> np.ndarray:
+def _starts(problem: Problem, grid: DevianceGrid | None, seed: int) -> np.ndarray:
     """Choose where to start, (s, p); else the middle of the range."""
     found = _sampled(problem, seed) if grid is None else grid.starts()
     return found if len(found) else (problem.parameters.low + problem.parameters.high)[None] / 2
@@ -364,7 +332,7 @@ def _tops(problem: Problem) -> np.ndarray:
     """
     q, data = problem.parameters, problem.lengths
     _, first = np.unique(data.rows, return_index=True)
-    if len(first) > CROWDED or q.free[0].name not in STIFFNESSES:
+    if len(first) > 24 or q.free[0].name not in STIFFNESSES:
         return np.empty(0)
     theta, inputs = q.low, q.inputs.take(data.measurement[first])
     _, ratio = q.longest(theta, inputs)
@@ -393,7 +361,7 @@ def same(point: np.ndarray, deviance: float, one: Root, problem: Problem) -> boo
     if problem.p == 1 and not problem.gauged:
         between = 2 * float(problem((point + one.theta)[None] / 2).value[0])
         higher = max(deviance, one.deviance)
-        return between <= higher + RISEN * max(1, abs(higher))
+        return between <= higher + 1e-9 * max(1, abs(higher))  # far above rounding
     off = point - one.theta
     if np.all(np.abs(off) <= 1e-4 * (problem.parameters.high - problem.parameters.low)):
         return True
@@ -403,8 +371,8 @@ def same(point: np.ndarray, deviance: float, one: Root, problem: Problem) -> boo
 
 def describe(problem: Problem, theta: np.ndarray, deviance: float) -> Root:
     """Covariance and share of the response at a minimum."""
-    at = problem(theta[None], order=2)
-    information = problem.information(theta)[0]
+    at, jacobian = problem(theta[None], order=2), problem.jacobian(theta)
+    information = jacobian.T @ jacobian
     reach = problem.parameters.high - problem.parameters.low
     singular = undetermined_axes(information * np.outer(reach, reach))
     # a prior as wide as the range searched makes the inverse exist without changing what the data determine

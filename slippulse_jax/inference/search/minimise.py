@@ -25,10 +25,9 @@ ADAM_STEPS = 20  # of optax.adam for each one allowed
 PROMISING, PATIENCE = 8.0, 5  # half the deviance above the least of starts that go on, and for how many times the steps
 BLURS, BLURRED = (1.0, 0.1, 0.01), 1e-2
 """Blurs, in λc, through which the edges of counts are sharpened, and the Newton decrement at which each is left."""
-FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e12
 
 
-Objective = Callable[[np.ndarray, np.ndarray, int], Evaluation]
+Target = Callable[[np.ndarray, np.ndarray, int], Evaluation]
 """Function to minimise: of points (B, p), the replicate of each (B,), and the order of the derivatives wanted."""
 
 
@@ -47,11 +46,10 @@ class Descents(NamedTuple):
     theta: np.ndarray  # (B, p)
     value: np.ndarray  # (B,)
     convergence: np.ndarray  # (B,), a `Convergence`
-    steps: np.ndarray  # (B,)
 
 
 def minimise(
-    objective: Objective,
+    objective: Target,
     start: np.ndarray,
     low: np.ndarray,
     high: np.ndarray,
@@ -93,17 +91,18 @@ def minimise(
     if held.all():
         value = objective(start, lane, 0).value
         ends = np.where(np.isfinite(value), Convergence.CONVERGED, Convergence.NO_LENGTH)
-        return Descents(start, value, ends, np.zeros(len(start), dtype=int))
+        return Descents(start, value, ends)
     if method != "lm":
         return _by_optax(method, objective, start, low, high, max_steps)
     return _levenberg_marquardt(objective, start, low, high, held, lane, tolerance, max_steps, enough=enough)
 
 
-def descend(problem: Problem, start: np.ndarray, low: np.ndarray, high: np.ndarray, **options: Any) -> Descents:
+def descend(problem: Problem, start: np.ndarray, **options: Any) -> Descents:
     """Minimise a deviance, through ever sharper counts and limits.
 
     With several parameters: no step follows the edges of counts.
     """
+    low, high = problem.parameters.low, problem.parameters.high
     sharp = problem.p > 1 and problem.blurred(BLURS[0]) is not problem
     for blur in BLURS if sharp else ():
         first = options | {"method": "lm", "max_steps": GAUSS_NEWTON_STEPS - 1, "tolerance": BLURRED}
@@ -118,7 +117,7 @@ def descend(problem: Problem, start: np.ndarray, low: np.ndarray, high: np.ndarr
 
 
 def _levenberg_marquardt(
-    objective: Objective,
+    objective: Target,
     theta: np.ndarray,
     low: np.ndarray,
     high: np.ndarray,
@@ -130,10 +129,9 @@ def _levenberg_marquardt(
     enough: float,
 ) -> Descents:
     """Take damped steps, each lane with its own damping (Moré)."""
-    value, gradient, metric = _first_order(objective, theta, lane)
-    damping, size, bend = np.full(len(theta), FIRST_DAMPING), np.zeros_like(theta), np.zeros_like(metric)
+    value, gradient, metric = (x.copy() for x in objective(theta, lane, 1)[:3])
+    damping, size, bend = np.full(len(theta), 1e-3), np.zeros_like(theta), np.zeros_like(metric)
     ends = np.where(np.isfinite(value), Convergence.NOT_CONVERGED, Convergence.NO_LENGTH)
-    steps = np.zeros(len(theta), dtype=int)
     work = np.nonzero(np.isfinite(value))[0]
     for count in range(max_steps + 1):
         order = 1 if count < GAUSS_NEWTON_STEPS or (count - GAUSS_NEWTON_STEPS + 1) % BEND_KEPT else 2
@@ -142,7 +140,8 @@ def _levenberg_marquardt(
             bend[work] = curvature - metric[work]
             metric[work] = _positive(curvature, metric[work])
         g, m = gradient[work], metric[work]
-        stuck = held | _pushed_out(theta[work], low[work], high[work], g)
+        # held, or pushed against a side of the box
+        stuck = held | (theta[work] <= low[work]) & (g > 0) | (theta[work] >= high[work]) & (g < 0)
         g, m = _without(g, m, stuck)
         diagonal = np.einsum("bpp->bp", m)
         size[work] = np.maximum(size[work], diagonal)
@@ -169,7 +168,7 @@ def _levenberg_marquardt(
         with np.errstate(invalid="ignore"):
             share = gained / np.where(expected > 0, expected, np.inf)
         factor = np.where(accept & (share > 0.75), 0.1, np.where(accept & (share > 0.25), 1.0, np.where(accept, 3.0, 8.0)))
-        damping[work] = np.clip(damping[work] * factor, LEAST_DAMPING, MOST_DAMPING)
+        damping[work] = np.clip(damping[work] * factor, 1e-9, 1e12)
         moved = work[accept]
         theta[moved], value[moved] = trial[accept], tried.value[accept]
         gradient[moved] = tried.gradient[accept]
@@ -178,22 +177,10 @@ def _levenberg_marquardt(
             bend[moved] = tried.curvature[accept] - metric[moved]
         if count >= GAUSS_NEWTON_STEPS:
             metric[moved] = _positive(metric[moved] + bend[moved], metric[moved])
-        steps[work] += 1
         edge = ~accept & (square <= tolerance * scale)  # beside a step of a length no move gains, however small
         ends[work[edge]] = Convergence.CONVERGED
         work = work[~edge]
-    return Descents(theta, value, ends, steps)
-
-
-def _first_order(objective: Objective, theta: np.ndarray, lane: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Value, gradient and metric, as writable arrays."""
-    at = objective(theta, lane, 1)
-    return at.value.copy(), at.gradient.copy(), at.metric.copy()
-
-
-def _pushed_out(theta: np.ndarray, low: np.ndarray, high: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """Coordinates pushed against a side of the box."""
-    return (theta <= low) & (gradient > 0) | (theta >= high) & (gradient < 0)
+    return Descents(theta, value, ends)
 
 
 def _without(g: np.ndarray, m: np.ndarray, stuck: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -264,4 +251,4 @@ def _by_optax(method: Method, objective: Any, start: np.ndarray, low: np.ndarray
     done = _decrement(*_without(g, m, np.abs(z) > AT_SIDE), np.einsum("bpp->bp", m)) <= 1e-4
     kinds = [~np.isfinite(at.value), flat, done]
     ends = np.select(kinds, [Convergence.NO_LENGTH, Convergence.FLAT, Convergence.CONVERGED], Convergence.NOT_CONVERGED)
-    return Descents(theta, at.value, ends, np.full(len(theta), rounds))
+    return Descents(theta, at.value, ends)

@@ -327,19 +327,17 @@ _BETWEEN = re.compile(r"[\s()\[\]{}/.,:-]+")
 _SIZES = {unit: size for unit, size in (UNITS_OF_LENGTH | UNITS_OF_MODULUS | SI).items() if unit.isascii()} | {"λc": math.nan}
 _READ = {unit.casefold(): unit for unit in (*UNITS_OF_LENGTH, *UNITS_OF_MODULUS) if unit in _SIZES} | {"μm": "um"}
 _UNIT = re.compile(rf"(?:_in)?(?:^|_)({'|'.join(_READ)}|in|inch|ft|dm|km|psi|k?N(?:_per_mm?)?)$", re.IGNORECASE)
-ALIKE = 0.8
-"""Similarity (difflib) above which a name counts as a typing error."""
-LONGEST, MOST = 60, 50
-"""Length of the longest unknown name whose meaning is guessed, and how many of them are."""
 
 
 def _refuse_misnamed(unknown: Sequence[str], there: Container[str], si: bool, plain: bool, where: str) -> None:
     """Refuse misnamed columns of quantities that the table lacks, with the name.
 
+    The first 50 unknown names of at most 60 characters are looked at.
+
     A known name in other case, or a symbol or word of authors, is always refused. A name that is only like a known one is
     refused if it has a unit, or if the known one is required.
     """
-    guesses = {own: _meant(own) for own in unknown[:MOST] if len(own) <= LONGEST}
+    guesses = {own: _meant(own) for own in unknown[:50] if len(own) <= 60}
     si = si or (not plain and any(unit for _, unit, _ in guesses.values()))
     said = []
     for own, (columns, unit, sure) in guesses.items():
@@ -370,7 +368,7 @@ def _meant(own: str) -> tuple[list[Column], str, bool]:
     found = [column for column in wanted if symbol in (column.value, *COLUMNS[column.value].symbols.split())]
     if found or len(word) < 4:
         return found, unit, bool(found)
-    alike = get_close_matches(symbol, [column.value for column in wanted if column.value[0] == symbol[0]], n=1, cutoff=ALIKE)
+    alike = get_close_matches(symbol, [column.value for column in wanted if column.value[0] == symbol[0]], n=1, cutoff=0.8)
     return [column for column in wanted if column.value in alike], unit, False
 
 

@@ -41,12 +41,12 @@ class MeasurementWarning(UserWarning):
 T = TypeVar("T")
 
 
-def held(*, converter: Callable[[Any], Any], **default: Any) -> Any:
+def converted(*, converter: Callable[[Any], Any], **default: Any) -> Any:
     """Field of a table that holds what `converter` makes of an argument."""
     return dataclasses.field(metadata={"converter": converter}, **default)
 
 
-@dataclass_transform(field_specifiers=(held, dataclasses.field), frozen_default=True, eq_default=False)
+@dataclass_transform(field_specifiers=(converted, dataclasses.field), frozen_default=True, eq_default=False)
 def table(cls: type[T]) -> type[T]:
     """Make a frozen dataclass, and describe its columns in its docstring."""
     cls.__doc__ = (cls.__doc__ or "").replace("{columns}", documented(cls.__annotations__))
@@ -122,13 +122,13 @@ class Gauges:
         If a value is not finite, a standard error is missing or not positive, or nothing was read.
     """
 
-    row: np.ndarray = held(converter=numbers)
-    position: np.ndarray = held(converter=numbers)
-    slip: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    slip_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    stress: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    stress_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    lines: tuple[int, ...] = held(converter=entries, default=())
+    row: np.ndarray = converted(converter=numbers)
+    position: np.ndarray = converted(converter=numbers)
+    slip: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    slip_sigma: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    stress: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    stress_sigma: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    lines: tuple[int, ...] = converted(converter=entries, default=())
     source: str = "gauges"
     skipped: tuple[int | str, ...] = ()
 
@@ -188,43 +188,43 @@ class Measurements:
         one that it needs.
     """
 
-    height: np.ndarray = held(converter=numbers)
-    poisson: np.ndarray = held(converter=numbers)
-    length: np.ndarray = held(converter=numbers)
-    length_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    correlation_length: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    young: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    kind: tuple[str, ...] = held(converter=entries, default=())
-    prestress: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    threshold_slope: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    block_length: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    push_height: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    push_width: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    push_control: tuple[str, ...] = held(converter=entries, default=())
-    friction: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    normal_stiffness: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    contact_law: tuple[str, ...] = held(converter=entries, default=())
-    top: tuple[str, ...] = held(converter=entries, default=())
-    machine_stiffness: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    height_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    poisson_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    correlation_length_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    young_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    push_height_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    friction_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    displacement: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    displacement_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    force: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    force_sigma: np.ndarray | None = held(converter=numbers_or_none, default=None)
-    specimen: tuple[str, ...] = held(converter=entries, default=())
-    provenance: tuple[str, ...] = held(converter=entries, default=())
-    label: tuple[str, ...] = held(converter=entries, default=())
+    height: np.ndarray = converted(converter=numbers)
+    poisson: np.ndarray = converted(converter=numbers)
+    length: np.ndarray = converted(converter=numbers)
+    length_sigma: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    correlation_length: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    young: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    kind: tuple[str, ...] = converted(converter=entries, default=())
+    prestress: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    threshold_slope: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    block_length: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    push_height: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    push_width: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    push_control: tuple[str, ...] = converted(converter=entries, default=())
+    friction: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    normal_stiffness: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    contact_law: tuple[str, ...] = converted(converter=entries, default=())
+    top: tuple[str, ...] = converted(converter=entries, default=())
+    machine_stiffness: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    height_sigma: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    poisson_sigma: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    correlation_length_sigma: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    young_sigma: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    push_height_sigma: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    friction_sigma: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    displacement: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    displacement_sigma: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    force: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    force_sigma: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    specimen: tuple[str, ...] = converted(converter=entries, default=())
+    provenance: tuple[str, ...] = converted(converter=entries, default=())
+    label: tuple[str, ...] = converted(converter=entries, default=())
     gauges: Gauges | None = None
-    lines: tuple[int, ...] = held(converter=entries, default=())
+    lines: tuple[int, ...] = converted(converter=entries, default=())
     source: str = "measurements"
     other: Mapping[str, Sequence[str]] = dataclasses.field(default_factory=dict)
     columns: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    rows: tuple[str, ...] = held(converter=entries, default=())
+    rows: tuple[str, ...] = converted(converter=entries, default=())
     skipped: tuple[int | str, ...] = ()
 
     @classmethod

@@ -169,7 +169,7 @@ def read_text(path: str | os.PathLike[str]) -> str:
 
 
 def of_file(path: str | os.PathLike[str]) -> Table:
-    """Find the header of a file and the lines of data below it."""
+    """Find the header of a file, and the data below it."""
     name, text = os.fspath(path), read_text(path)
     given = _SEPARATOR.match(text)
     separator = (given[1] or "\t") if given else ""
