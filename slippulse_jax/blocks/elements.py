@@ -145,7 +145,7 @@ def _springs(block: Block, width: Float[np.ndarray, " m"]) -> Springs:
     read = np.zeros((readings, 1 + len(means)))
     read[0, 0], read[1:, 1:] = 1, means
     across = softness / jnp.asarray(block.normal_stiffness) * per_stiffness
-    return jax.scipy.linalg.block_diag(softness, across), jnp.asarray(read, across.dtype)
+    return jnp.pad(across, ((1, 0), (1, 0))).at[0, 0].set(softness[0, 0]), jnp.asarray(read, across.dtype)
 
 
 def widths(finer: int = 0) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " n"]]:
