@@ -263,7 +263,7 @@ PATHS = {  # a call, the function whose body holds the line, and the most frames
         "end_of_front",
         7,
     ),
-    "rupture": (lambda: sp.rupture(sp.chain(sp.Slider(25.0, 0.03, 0.3), sites=23)), "_burst", 10),
+    "rupture": (lambda: sp.rupture(sp.chain(sp.Slider(25.0, 0.03, 0.3), sites=23)), "column", 10),
 }
 
 
