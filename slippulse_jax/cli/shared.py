@@ -83,11 +83,17 @@ def together(*options: Option) -> Option:
 def contacts_of_block(kind: Any) -> Option:
     """Options of a block and its contacts; numbers of a `kind`."""
     law = "What follows the pressure with --friction: thresholds, or thresholds and stiffnesses."
+    several = "" if kind is float else ",…"
     return together(
         click.option(
-            "--friction", type=kind, metavar="μ", help="Friction coefficient of a block, whose thresholds follow the pressure."
+            "--friction",
+            type=kind,
+            metavar=f"μ{several}",
+            help="Friction coefficient of a block, whose thresholds follow the pressure.",
         ),
-        click.option("--normal-stiffness", type=kind, metavar="k_n/k", help="Of a block; 1.2 by default with --friction."),
+        click.option(
+            "--normal-stiffness", type=kind, metavar=f"k_n/k{several}", help="Of a block; 1.2 by default with --friction."
+        ),
         choice("--contact-law", ContactLaw, law, default="amontons"),
         choice("--top", Top, "Whether the top of a block may tilt.", default="free"),
     )
