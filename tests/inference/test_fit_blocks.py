@@ -137,13 +137,14 @@ def test_a_measured_block_is_followed_the_same_whatever_was_followed_before():
 def test_tried_blocks_take_fewer_events_for_the_same_lengths():
     """Within the steps of a length, up to where it falls: for what another block would make of a fit."""
     b = np.exp(np.linspace(-1.5, 3.5, 40))
-    found, events = [], []
+    found, nodes = [], []
     for tried in (False, True):
         followed = Families(tried=tried).add(geometry_of(inputs_of([100.0], 1.0, 0.3)), np.array([0.8]))
         found.append(followed(inputs_of([100.0], b, 0.3))[0] / 100)
-        events.append(len(followed.events.known))
+        nodes.append(followed.measured[0].nodes)
     np.testing.assert_allclose(found[1], found[0], rtol=0.01)
-    assert events[1] < 0.8 * events[0]
+    assert nodes[1] < nodes[0]
+    assert [int(np.diff(sorted(every)).min()) for every in nodes] == [1, family.BESIDE]  # next to a fall
 
 
 @pytest.mark.ci
