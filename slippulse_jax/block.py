@@ -229,9 +229,8 @@ class Block(eqx.Module):
             domain.check(f"Block.{name}", value)
             if np.shape(value):
                 raise ValueError(f"Block.{name} has shape {np.shape(value)}: one block at a time; use jax.vmap")
-        if self.machine is not None and (self.push.control == "force" or self.contact_law == "multicontact"):
-            other = "push.control = 'force'" if self.push.control == "force" else "contact_law = 'multicontact'"
-            raise ValueError(f"Block.machine beside {other}: a machine displaces the pusher of contacts of one stiffness")
+        if self.machine is not None and self.push.control == "force":
+            raise ValueError("Block.machine beside push.control = 'force': a machine displaces the pusher")
         if self.plane == "strain" and not isinstance(self.poisson, Tracer) and np.any(self.poisson == 0.5):
             raise ValueError("Block.poisson = 0.5: an incompressible block has no plane strain here; take 0.499")
 

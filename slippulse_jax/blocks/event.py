@@ -97,8 +97,6 @@ def contacts_of(block: Block, interface: AnyInterface, sites: int, bare: tuple[E
     else:
         body = under_pressure(guide, k, sites, jnp.asarray(block.normal_stiffness), jnp.asarray(block.friction))
         response = of_matrix(body.matrix[:sites, None, :sites], body.push[None, :sites], body.edge_stiffness)
-    if block.machine is not None:
-        response = response.through(block.machine, k)
     threshold, prestress = jnp.ones_like(response.soft), jnp.zeros_like(response.soft)
     site = jnp.arange(sites, dtype=threshold.dtype)
     if interface is not None:
@@ -106,7 +104,8 @@ def contacts_of(block: Block, interface: AnyInterface, sites: int, bare: tuple[E
     valid = in_domain(block)
     for value, domain in ((block.normal_stiffness, NORMAL_STIFFNESS), (block.friction, FRICTION), (block.machine, MACHINE)):
         valid = valid if value is None else valid & domain.holds(value)
-    return Relaxed(response, threshold, prestress, k, last, valid, pressed=body, alike=not isinstance(interface, Profile))
+    found = Relaxed(response, threshold, prestress, k, last, valid, pressed=body, alike=not isinstance(interface, Profile))
+    return found if block.machine is None else found.through(block.machine)
 
 
 @partial(jax.jit, static_argnames=("sites", "kind"))

@@ -10,7 +10,8 @@ them acts on it as a force. Newton's method finds their balance and the load at 
 stiffnesses are those at its nucleation; a break then moves every stretch by a known amount again.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
@@ -18,6 +19,7 @@ from jaxtyping import Array, Float, Int
 
 from slippulse_jax.blocks.guide import Guide, compliance, held_by_all, inverse
 from slippulse_jax.bodies.response import Response, of_matrix
+from slippulse_jax.events.event import rises
 
 NEWTON_STEPS = 100
 """Most steps of Newton's method; ten to twenty are usual."""
@@ -43,11 +45,23 @@ class Pressed(NamedTuple):
     normal: Array  # k_n/k
     friction: Array  # μ
 
+    def through(self, spring: Any, stiffness: Any) -> "Pressed":
+        """The same contacts with the pusher pulled through a spring, as `Response.through`."""
+        whole = spring + self.edge_stiffness
+        matrix, share = self.matrix + stiffness / whole * jnp.outer(self.push, self.push), spring / whole
+        return self._replace(matrix=matrix, push=self.push * share, edge_stiffness=self.edge_stiffness * share)
+
     def balance(
-        self, threshold: Float[Array, " N"], prestress: Float[Array, " N"], pinning: Float[Array, " N"], load: Array
+        self,
+        threshold: Float[Array, " N"],
+        prestress: Float[Array, " N"],
+        pinning: Float[Array, " N"],
+        load: Array,
+        rises: Callable[..., Float[Array, " N"]] = rises,
     ) -> Balance:
         """Contacts under the first load, from a given one on, at which one is at its threshold; at that if none will be.
 
+        The rise of the load to there is that of `rises`, given push, threshold and stretch.
         Differentiable: after Newton's method, with the derivatives of its first point, has converged, one true step carries
         those of the result.
         """
@@ -73,10 +87,10 @@ class Pressed(NamedTuple):
             along, across = slopes
             short = (at(z)[3] - along * z).at[:sites].add(-across * z[sites:])
             still, moved = solve @ (self.matrix @ short), solve @ self.push
-            rising = moved[:sites] > 0
-            needed = jnp.where(rising, (threshold + free - still[:sites]) / jnp.where(rising, moved[:sites], 1), jnp.inf)
+            per_load = moved[:sites]
+            needed = rises(per_load[None], threshold, (still[:sites] + load * per_load - free)[None])
             first = jnp.argmin(needed)
-            at_load = jnp.where(jnp.isfinite(needed[first]), jnp.maximum(needed[first], load), load)
+            at_load = load + jnp.where(jnp.isfinite(needed[first]), jnp.maximum(needed[first], 0), 0)
             return still + at_load * moved, at_load, first
 
         def far(state: tuple[Array, Array, Array]) -> Array:

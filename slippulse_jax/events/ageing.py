@@ -3,10 +3,11 @@ r"""Ageing of contacts: thresholds that grow with the age of a contact.
 A contact of age a has the threshold θ_i [ν + (1 − ν) g(a)], with ν the strength of a newborn contact relative to an old one.
 Age is measured in load (displacement of the left edge or of the driver, in u_s), or in time if the drive has a velocity.
 
-Under an increasing load the stress on a contact grows linearly, while its threshold, concave in age, grows ever more slowly.
-The next break occurs at the load where the first of these pairs of curves crosses. It is found exactly, not by small steps:
-Newton's method starts where the curves approach each other. By concavity its first step lands beyond the crossing, and it then
-returns to the crossing without overshooting.
+Under an increasing load the stress on a contact grows linearly, and its pressure, where that is read, changes linearly, while
+its strength, concave in age, grows ever more slowly. It breaks where stress = threshold × strength × pressure for the first
+time. That load is found exactly, not by small steps, from both sides: a chord of the strength lies below it, so the stress
+meets the chord before the crossing; a tangent lies above it, so the stress meets the tangent after it. Either meeting is the
+root of a quadratic, and the two close in faster than Newton's method.
 """
 
 from typing import Literal
@@ -63,7 +64,7 @@ class Ageing(eqx.Module):
         nu, tau = jnp.asarray(self.newborn), self.load_scale(velocity)
         old = jnp.isinf(age)
         x = jnp.where(old, 0, age) / tau
-        # of the two slopes at x = 1 that of what follows, as `next_crossing` needs it
+        # of the two slopes at x = 1 that of what follows: a tangent there lies above it
         grown = -jnp.expm1(-x) if self.law == "exponential" else jnp.where(x < 1, jnp.log1p(x) / jnp.log(2.0), 1)
         return jnp.where(old, 1, nu + (1 - nu) * grown)
 
@@ -71,50 +72,58 @@ class Ageing(eqx.Module):
         """Convert τ to load."""
         return jnp.asarray(self.scale) * (velocity if self.clock == "time" else 1.0)
 
-    def age_of_growth(self, growth: Array, velocity: Array | float = 1.0) -> Array:
-        """Age from which on the strength grows no faster than a given rate; negative if it never grows that fast."""
-        nu, tau = jnp.asarray(self.newborn), self.load_scale(velocity)
-        ratio = growth * tau / (1 - nu)
-        if self.law == "exponential":
-            return jnp.where(nu < 1, -tau * jnp.log(ratio), -1.0)
-        return jnp.where(nu < 1, tau * jnp.minimum(1 / (ratio * jnp.log(2.0)) - 1, 1), -1.0)
 
-
-MAX_NEWTON_STEPS = 60
+CLOSE = 4
+"""Units in the last place of the load within which a crossing is known."""
+MOST_STEPS = 60
+"""Most pairs of chord and tangent; three to five are usual."""
 
 
 def next_crossing(
-    ageing: Ageing, stress: Array, per_load: Array, threshold: Array, age: Array, velocity: Array | float = 1.0
+    push: Float[Array, "r N"],
+    threshold: Float[Array, " N"],
+    readings: Float[Array, "r N"],
+    *,
+    ageing: Ageing,
+    age: Float[Array, " N"],
+    velocity: Array | float = 1.0,
 ) -> Float[Array, " N"]:
-    """Find the load increase that brings each contact to its threshold; inf where none does.
+    """Rise of the load that brings each ageing contact to its threshold.
 
-    From its stress now, below threshold, and its growth per load, in σ_s and σ_s/u_s; the threshold of contacts that never
-    broke, in σ_s; and its age in load, inf for a contact that never broke.
+    As `rises`, of contacts of an age in load, inf for one that never broke, whose threshold is that of one that never did.
+    Beyond the first crossing of any contact the numbers are lower bounds; inf where no load brings a contact there.
     """
-    pulled = (per_load > 0) & (threshold < jnp.inf)
-    c = jnp.where(pulled, per_load, 1)
-    theta = jnp.where(pulled, threshold, 1)
+    there = jnp.isfinite(threshold)
+    theta, none = jnp.where(there, threshold, 1), jnp.zeros_like(threshold)
+    gain, lost = push[0], push[1] if len(push) > 1 else none
+    stress, pressure = readings[0], readings[1] if len(readings) > 1 else none + 1
 
-    def gap(d: Array) -> Array:
-        return theta * ageing.strength(age + d, velocity) - stress - c * d
+    def strength(rise: Array) -> Array:
+        return ageing.strength(age + rise, velocity)
 
-    # where the threshold grows half as fast as the stress: the gap closes from there on, and a tangent overshoots the crossing
-    ageless = jnp.isinf(age)
-    start = ageing.age_of_growth(c / (2 * theta), velocity) - jnp.where(ageless, 0, age)
-    start = jnp.where(ageless, 0, jnp.maximum(start, 0))
+    def farther(rise: Array, now: Array, growth: Array) -> Array:
+        """Rise where the stress meets a strength that grows linearly from here on."""
+        left = pressure + lost * rise
+        short = jnp.maximum(theta * now * left - stress - gain * rise, 0)
+        slope, bend = theta * (growth * left + now * lost) - gain, theta * growth * lost
+        root = slope**2 - 4 * bend * short
+        closing = jnp.sqrt(jnp.maximum(root, 0)) - slope
+        meets = there & (root >= 0) & (closing > 0)
+        return rise + jnp.where(short > 0, jnp.where(meets, 2 * short / jnp.where(meets, closing, 1), jnp.inf), 0)
 
-    def step(carry: tuple) -> tuple:
-        d, _, n = carry
-        short, slope = jax.jvp(gap, (d,), (jnp.ones_like(d),))
-        after = jnp.maximum(d - short / slope, 0)
-        after = jnp.where(pulled, after, 0)
-        # the first step may go either way; after it the iterates only decrease, until rounding stops them
-        moved = (n == 0) | (after < d)
-        return jnp.where(moved, after, d), jnp.any(moved & (after != d)), n + 1
+    def step(state: tuple) -> tuple:
+        low, high, _, count = state
+        at, wide = strength(low), jnp.isfinite(high) & (high > low)
+        chord = jnp.where(wide, (strength(high) - at) / jnp.where(wide, high - low, 1), 0)
+        closer = jnp.minimum(farther(low, at, chord), high)
+        known = jnp.where(jnp.isfinite(closer), closer, 0)
+        above, growth = jax.jvp(strength, (known,), (jnp.ones_like(known),))
+        high = jnp.minimum(high, jnp.where(jnp.isfinite(closer), farther(known, above, growth), jnp.inf))
+        return closer, high, closer > low + CLOSE * jnp.finfo(low.dtype).eps * (1 + low), count + 1
 
-    def going(carry: tuple) -> Array:
-        return carry[1] & (carry[2] < MAX_NEWTON_STEPS)
+    def going(state: tuple) -> Array:
+        low, high, moved, count = state
+        return (moved & (low < high.min())).any() & (count < MOST_STEPS)
 
-    n = jnp.zeros((), jnp.int32)
-    crossing, _, _ = lax.while_loop(going, step, (start, jnp.ones((), bool), n))
-    return jnp.where(pulled, crossing, jnp.inf)
+    begin = none, farther(none, none + 1, none), there, jnp.zeros((), jnp.int32)
+    return lax.while_loop(going, step, begin)[0]

@@ -6,7 +6,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from slippulse_jax.bodies.chain import State
@@ -53,6 +55,7 @@ class Catalogue(NamedTuple):
     break_site: Int[Array, " L"]  # site of every break in order, up to `recorded_breaks`; −1 beyond
     break_event: Int[Array, " L"]
     state: State  # at the end
+    strength: Float[Array, ""]  # force with all contacts at their thresholds, in K u_s: with friction μF_N, of μ times the load
     drift: Float[Array, ""]  # largest error of a stress, accumulated over all breaks, in σ_s
     energy_drift: Float[Array, ""]  # difference of `stored` at the end from the energy of the chain solved afresh
     status: Int[Array, ""]  # an Outcome
@@ -119,6 +122,34 @@ class Catalogue(NamedTuple):
         stopped, spanned = farther & np.isfinite(lengths), loads[np.isinf(lengths)].min(initial=np.inf)
         found = np.interp(asked, loads[stopped], lengths[stopped], left=0.0) if stopped.any() else np.zeros(asked.shape)
         return np.select([asked >= spanned, known], [np.inf, found], np.nan)
+
+    def force_at(self, position: ArrayLike, strength: ArrayLike = 1.0) -> Float[Array, "..."]:
+        """Force at which the front first reaches a position, F^x(x): the twin of `reach`.
+
+        That on the edge, or on the pusher, as the first event begins that gets as far. An event that reached ℓ at the force F
+        says F^x(ℓ) = F, however the front crept before it, and this hardly depends on how finely the edge is moved or on the
+        size of the contacts, as the number and the length of events do. Composes with ``jit`` and ``vmap``.
+
+        Parameters
+        ----------
+        position : array_like
+            In λc, from the left edge.
+        strength : array_like
+            μF_N in the unit of the force wanted, as 400.0 for 400 N; by default forces are over μF_N or, without friction,
+            over the force at which all contacts would be at their thresholds.
+
+        Returns
+        -------
+        array
+            NaN beyond what the series reached or the body has.
+        """
+        asked = jnp.asarray(position, self.length.dtype)
+        there = jnp.arange(self.length.size, dtype=jnp.int32) < self.number
+        farthest = lax.cummax(jnp.where(there, self.length, -jnp.inf))
+        event = jnp.searchsorted(farthest, asked)
+        known = (event < self.number) & (asked >= 0) & (asked <= self.state.pinning.size)
+        force = self.force_before[jnp.minimum(event, self.length.size - 1)]
+        return jnp.where(known, force / self.strength * jnp.asarray(strength), jnp.nan)
 
 
 COLUMNS = {

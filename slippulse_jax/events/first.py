@@ -46,6 +46,11 @@ class Relaxed(NamedTuple):
         """The prestress and, where it is read, the initial pressure."""
         return jnp.stack([self.prestress, jnp.ones_like(self.prestress)])[: len(self.response.push)]
 
+    def through(self, spring: Any) -> "Relaxed":
+        """The same body with its pusher pulled through a spring, in K."""
+        pressed = None if self.pressed is None else self.pressed.through(spring, self.stiffness)
+        return self._replace(response=self.response.through(spring, self.stiffness), pressed=pressed)
+
 
 def contacts_of_chain(body: Chain, response: Response, driver: int = 0) -> Relaxed:
     """Contacts of a chain, given its response; of one that begins with sites of a driver, how many these are."""

@@ -86,6 +86,8 @@ class Loading(NamedTuple):
     max_breaks: Int[Array, ""]  # of one event
 
 
+FADED = 1e-3
+"""Pressure, over the initial one, below which a contact that breaks alone lifts off: it would break for ever, ever sooner."""
 BALANCED = 1e-9
 """Stretch, in u_s, by which Newton's method may leave a contact short of its threshold."""
 POSITIVE = Domain(0, float("inf"), "must be positive and finite")
@@ -168,8 +170,8 @@ def series(
         raise TypeError(f"protocol = {protocol!r}: must be Adiabatic(), Steps(size) or Spring(stiffness)")
     for name in ("size", "stiffness", "velocity"):
         POSITIVE.check(f"{type(protocol).__name__}.{name}", getattr(protocol, name, 1.0))
-    if isinstance(body, Block) and body.friction is not None:
-        _check_friction(body, protocol, ageing, repin_delay)
+    if isinstance(body, Block) and body.friction is not None and repin_delay:
+        raise ValueError(f"repin_delay = {repin_delay}: contacts of a block with friction repin at once")
     shape = events, recorded_breaks, repin_delay, sites
     run_series = _hard_series if isinstance(body, Chain) else in_double(_hard_series)
     with jax.debug_infs(False):  # nothing ends a series without `until`, and the extent of an event that spans is inf
@@ -190,15 +192,6 @@ def _sites_of_block(block: Block, interface: AnyInterface, sites: int | None, pr
         raise ValueError(f"{block} has no end: give sites, the number of contacts resolved")
     found = checked_sites(block, block.sites if sites is None else sites)
     return block.sites or found
-
-
-def _check_friction(block: Block, protocol: Protocol, ageing: Ageing | None, repin_delay: int) -> None:
-    """Refuse what a series of a block whose thresholds follow the pressure does not take."""
-    if repin_delay or ageing is not None:
-        given = f"repin_delay = {repin_delay}" if repin_delay else f"ageing = {ageing!r}"
-        raise ValueError(f"{given}: contacts of a block with friction repin at once, at their old strength")
-    if block.contact_law == "multicontact" and not isinstance(protocol, Adiabatic):
-        raise ValueError(f"protocol = {protocol!r}: contacts whose stiffness follows the pressure take Adiabatic() only")
 
 
 def _series(shape: Shape, body: Any, interface: AnyInterface, loading: Loading) -> Catalogue:
@@ -230,14 +223,13 @@ def _resolved(shape: Shape, body: Any, interface: AnyInterface, loading: Loading
 
 def of_matrix_body(shape: Shape, body: Relaxed, loading: Loading) -> Catalogue:
     """Series of the first contacts of a body whose response is a matrix; a spring to the driver makes the pusher give way."""
-    response, threshold, k, sites = body.response, body.threshold, body.stiffness, shape[-1]
     if isinstance(loading.protocol, Spring):
-        response = response.through(loading.protocol.stiffness, k)
+        body = body.through(loading.protocol.stiffness)
+    response, threshold, k, sites = body.response, body.threshold, body.stiffness, shape[-1]
     there = jnp.arange(threshold.size) < sites
     prestress = jnp.where(there, body.prestress, 0)
     sound = jnp.isfinite(response.near[:, :, 0]).all() & ((threshold > prestress) & (threshold > 0) | ~there).all()
     body = body._replace(
-        response=response,
         threshold=jnp.where(there, threshold, jnp.inf),
         prestress=prestress,
         last=sites - 1,
@@ -312,20 +304,33 @@ def load_through(shape: Shape, body: Relaxed, loading: Loading) -> SeriesState:
 def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -> SeriesState:
     """Load to the next break, run the event and record it."""
     response, k, ageing = body.response, body.stiffness, loading.ageing
-    threshold, renewed = body.threshold, None
+    threshold, renewed, reach = body.threshold, None, rises
+    velocity = jnp.asarray(loading.protocol.velocity)
+    if ageing is not None and now.born is not None:
+        renewed = threshold * jnp.asarray(ageing.newborn)
+        reach = partial(next_crossing, ageing=ageing, age=now.load - now.born, velocity=velocity)
+
+    def aged(load: Array) -> Array:
+        if ageing is None or now.born is None:
+            return body.threshold
+        return body.threshold * ageing.strength(load - now.born, velocity)
+
     if body.pressed is not None:
-        at = body.pressed.balance(threshold, body.prestress, now.released, now.load)
-        trigger, load, rise = at.first, at.load, at.load - now.load
-        readings, response = at.stretch[None], body.pressed.frozen(at)
-        begins, per_stretch = at.stretch[trigger] >= threshold[trigger] - BALANCED, at.pressure
+        at = body.pressed.balance(threshold, body.prestress, now.released, now.load, reach)
+        begins = at.stretch[at.first] >= aged(at.load)[at.first] - BALANCED
+        rise, trigger = _stepped(loading.protocol, at.load - now.load, at.first, begins)
+        load = now.load + rise
+        if isinstance(loading.protocol, Steps):
+            at = body.pressed.balance(jnp.full_like(threshold, jnp.inf), body.prestress, now.released, load)
+        readings, response, per_stretch = at.stretch[None], body.pressed.frozen(at), at.pressure
         force_before = body.pressed.edge_stiffness * load - k * body.pressed.push @ at.force
     else:
-        rise, trigger, begins = _raised(body, loading, now)
+        site, least = most(-reach(response.push, threshold, now.readings))
+        begins = jnp.isfinite(least)
+        rise, trigger = _stepped(loading.protocol, jnp.maximum(-least, 0), site, begins)
         load, force_before, per_stretch = now.load + rise, now.force + response.edge_stiffness * rise, 1.0
         readings = now.readings + response.push * rise
-    if ageing is not None and now.born is not None:
-        threshold = threshold * ageing.strength(load - now.born, jnp.asarray(loading.protocol.velocity))
-        renewed = body.threshold * jnp.asarray(ageing.newborn)
+    threshold = aged(load)
     most_over = most(overload(readings, threshold))[0]
     first = jnp.where(trigger >= 0, trigger, most_over) if isinstance(loading.protocol, Steps) else trigger
     found = event(
@@ -340,6 +345,7 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
     )
     right, excess, slip = found.rightmost, found.excess, response.soft * found.released
     lifted = [(x < LOST).any() for x in (*readings[1:], *found.readings[1:])]
+    lifted += [(found.breaks == 1) & (readings[1, first] < FADED)] if len(readings) > 1 else []
     even = body.alike & (now.number == 0) & (delay == 0)  # contacts that broke differ
     force = force_before - k * (response.push[0] * slip).sum()
     work, broken, relaxed = (now.force + force_before) / 2 * rise, k / 2 * found.stretched, k / 2 * found.relaxed
@@ -396,27 +402,16 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
     )
 
 
-def _raised(body: Relaxed, loading: Loading, now: SeriesState) -> tuple[Array, Array, Array]:
-    """Find the increase of load to the next event, and the contact that breaks first whatever the rounding; −1 for none.
-
-    Return also whether any load brings a contact to its threshold; the increase is 0 if none does.
-    """
-    if loading.ageing is None or now.born is None:
-        needed = rises(body.response.push, body.threshold, now.readings)
-    else:
-        velocity = jnp.asarray(loading.protocol.velocity)
-        push, (stress, *_) = body.response.push[0], now.readings
-        needed = next_crossing(loading.ageing, stress, push, body.threshold, now.load - now.born, velocity)
-    site, least = most(-needed)
-    begins, rise = jnp.isfinite(least), jnp.maximum(-least, 0)
+def _stepped(protocol: Protocol, rise: Array, site: Array, begins: Array) -> tuple[Array, Array]:
+    """Rise of the load to the event, 0 if there is none, and the contact that is sure to break first; −1 for none."""
     trigger = jnp.where(begins, site, -1)
-    if isinstance(loading.protocol, Steps):
-        size, close = jnp.asarray(loading.protocol.size, rise.dtype), 1e4 * jnp.finfo(rise.dtype).eps
+    if isinstance(protocol, Steps):
+        size, close = jnp.asarray(protocol.size, rise.dtype), 1e4 * jnp.finfo(rise.dtype).eps
         whole_steps = jnp.maximum(jnp.ceil(rise / size - close), 1) * size
         # beyond the crossing the most overloaded contact breaks first
         trigger = jnp.where(whole_steps > rise + close * size, -1, trigger)
         rise = whole_steps
-    return jnp.where(begins, rise, 0), trigger, begins
+    return jnp.where(begins, rise, 0), trigger
 
 
 def _catalogue(body: Relaxed, end: SeriesState, state: State, stress: Float[Array, " N"], stored: Array) -> Catalogue:
@@ -431,6 +426,7 @@ def _catalogue(body: Relaxed, end: SeriesState, state: State, stress: Float[Arra
         break_site=jnp.where(known, end.order[:-1] - body.driver, -1),
         break_event=jnp.where(known, of_event, -1),
         state=State(state.pinning[body.driver :], state.load),
+        strength=body.stiffness * jnp.where(jnp.isfinite(body.threshold), body.threshold, 0).sum(),
         drift=jnp.abs(end.readings[0, : stress.size] - stress).max(),
         energy_drift=jnp.abs(end.stored - stored),
         status=end.ending,

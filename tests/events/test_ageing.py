@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 from chains import SITES, long_series
-from oracles.dense_chain import DenseChain
+from oracles.dense_chain import DenseChain, ages
 from problems import PAPER
 from scipy.optimize import brentq
 
@@ -17,32 +17,56 @@ FIG2 = sp.Slider(*PAPER.slider)
 CHAIN = sp.chain(FIG2, sites=SITES)
 
 
+def first_zero(gap, end, points=20_000):
+    """The first zero of a function that is positive at 0, up to `end`; inf if there is none."""
+    at = np.linspace(0, end, points)
+    below = np.flatnonzero(gap(at) <= 0)
+    return brentq(gap, at[below[0] - 1], at[below[0]], xtol=1e-15, rtol=1e-14) if below.size else np.inf
+
+
 @pytest.mark.ci
+@pytest.mark.parametrize("pressed", [False, True])
 @pytest.mark.parametrize("law", ["exponential", "logarithmic"])
-def test_crossings_against_a_root_finder(law):
+def test_crossings_against_a_root_finder(law, pressed):
+    """The first crossing, where there are several too: a pressure that the push raises makes the threshold outgrow the stress."""
     rng = np.random.default_rng(1)
-    n = 200
-    ageing = sp.Ageing(0.3, 2.0, law)
-    age = rng.uniform(0, 5, n)
-    threshold, slope = rng.uniform(0.8, 1.2, n), 10 ** rng.uniform(-4, 0.5, n)
-    stress = threshold * np.asarray(ageing.strength(age)) * rng.uniform(0, 0.999, n)
-    got = np.asarray(next_crossing(ageing, stress, slope, threshold, age))
+    n = 400
+    ageing, grown = sp.Ageing(0.3, 2.0, law), ages(law, 0.3, 2.0)
+    age, threshold = rng.uniform(0, 5, n), rng.uniform(0.8, 1.2, n)
+    slope, pressure, lost = 10 ** rng.uniform(-4, 0.5, n), np.ones(n), np.zeros(n)
+    if pressed:  # in the second half the stress outgrows a young contact, and the pressure the stress in the end
+        age[n // 2 :] /= 10
+        pressure, lost = rng.uniform(0.5, 1.5, n), rng.uniform(-0.7, 0.5, n) * slope
+        lost[n // 2 :] = rng.uniform(1, 4, n // 2)
+        slope[n // 2 :] = lost[n // 2 :] * rng.uniform(0.6, 0.95, n // 2)
+    stress = threshold * grown(age) * pressure * rng.uniform(0, 0.999, n)
+
+    def gap(i):
+        return lambda d: threshold[i] * grown(age[i] + d) * (pressure[i] + lost[i] * d) - stress[i] - slope[i] * d
+
+    pushes, held = np.stack([slope, lost])[: 1 + pressed], np.stack([stress, pressure])[: 1 + pressed]
+
+    @jax.vmap
+    def alone(push, threshold, readings, age):  # so that each is the first of all
+        return next_crossing(push[:, None], threshold[None], readings[:, None], ageing=ageing, age=age[None])[0]
+
+    got, several = alone(pushes.T, threshold, held.T, age), 0
     for i in range(n):
-        grown = (lambda a: 1 - np.exp(-a / 2)) if law == "exponential" else (lambda a: np.minimum(np.log2(1 + a / 2), 1))
-
-        def gap(d, i=i, grown=grown):
-            return threshold[i] * (0.3 + 0.7 * grown(age[i] + d)) - stress[i] - slope[i] * d
-
-        far = 1.0
-        while gap(far) > 0:
-            far *= 2
-        root = brentq(gap, 0, far, xtol=1e-14, rtol=1e-14)  # concave and positive at 0: one root
-        assert abs(got[i] - root) < 1e-9 * (1 + root)
+        far = min(40 / slope[i], pressure[i] / -lost[i] if lost[i] < 0 else np.inf)
+        root = first_zero(gap(i), far)
+        assert got[i] >= 0.999 * far if np.isinf(root) else abs(got[i] - root) < 1e-9 * (1 + root), i
+        several += bool(np.isfinite(root) and (gap(i)(np.linspace(root, far, 5000)[1:]) > 1e-9).any())
+    assert several > 10 or not pressed
+    together = np.asarray(next_crossing(pushes, threshold, held, ageing=ageing, age=age))
+    first = min(range(n), key=lambda i: first_zero(gap(i), 40 / slope[i]))
+    assert np.argmin(together) == first
+    assert together[first] == pytest.approx(first_zero(gap(first), 40 / slope[first]), abs=1e-12)
 
 
 def test_never_broken_and_unpulled_contacts():
     ageing = sp.Ageing(0.3, 2.0)
-    got = next_crossing(ageing, np.array([0.5, 0.5]), np.array([0.1, 0.0]), np.ones(2), np.array([np.inf, 1.0]))
+    push, stress, age = np.array([[0.1, 0.0]]), np.array([[0.5, 0.5]]), np.array([np.inf, 1.0])
+    got = next_crossing(push, np.ones(2), stress, ageing=ageing, age=age)
     assert abs(got[0] - 5) < 1e-14
     assert np.isinf(got[1])
 

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 from chains import SITES, long_series
-from oracles.dense_chain import DenseChain
+from oracles.dense_chain import DenseChain, ages
 from problems import PAPER
 
 import slippulse_jax as sp
@@ -14,13 +14,6 @@ from slippulse_jax.status import Outcome
 
 FIG2 = PAPER.slider
 CHAIN = sp.chain(sp.Slider(*FIG2), sites=SITES)
-
-
-def ages(law, newborn, scale):
-    grown = {"exponential": lambda a: 1 - np.exp(-a / scale), "logarithmic": lambda a: np.minimum(np.log2(1 + a / scale), 1)}[
-        law
-    ]
-    return lambda a: newborn + (1 - newborn) * grown(a)
 
 
 CASES = [
@@ -168,6 +161,30 @@ def test_how_far_fronts_have_come_hardly_depends_on_the_step():
     assert np.isnan(held.reach(last * (1 + 1e-12)))
     assert sp.series(CHAIN, events=400, until=4.0).reach([3.0, 100.0]) == pytest.approx([0, np.nan], nan_ok=True)
     assert sp.series(CHAIN, sp.Steps(1.0), events=400, until=100.0).reach(50.0) == np.inf
+
+
+@pytest.mark.ci
+def test_force_at_which_the_front_reaches_a_position():
+    """The twin of `reach`: on the steps of the first event that gets as far; NaN where no event did, and beyond the body."""
+    found = sp.series(CHAIN, events=60, until=5.0)
+    n = int(found.number)
+    lengths, forces = (np.asarray(x)[:n] for x in (found.length, found.force_before))
+    at = np.concatenate([lengths, lengths - 1e-6, [0.0, -1.0, lengths.max() + 1e-9, SITES + 1.0]])
+    strength = float(CHAIN.stiffness) * SITES
+    want = [forces[lengths >= x][0] / strength if (lengths >= x).any() and 0 <= x <= SITES else np.nan for x in at]
+    np.testing.assert_allclose(found.force_at(at), want, rtol=1e-12)
+    assert np.isnan(want[-3:]).all()
+    assert float(found.force_at(lengths[0], 250.0)) == pytest.approx(250 * forces[0] / strength)
+    assert found.reach(float(found.load[0])) >= lengths[0]
+    short = sp.chain(sp.Slider(8.0, 0.03, 0.3), sites=30, right="free")
+    whole = sp.series(short, events=200)
+    assert int(whole.status) == Outcome.SPANNED
+    last = int(whole.number) - 1
+    assert float(whole.force_at(30.0)) == pytest.approx(float(whole.force_before[last] / short.stiffness) / 30)
+    both = jax.vmap(lambda q: sp.series(sp.chain(sp.Slider(25.0, q, 0.3), sites=SITES), events=60).force_at(20.0))(
+        np.array([0.03, 0.02])
+    )
+    assert float(both[0]) == pytest.approx(float(found.force_at(20.0)), rel=1e-6)
 
 
 @pytest.mark.ci

@@ -328,3 +328,10 @@ def front(height, stiffness, poisson, threshold, prestress, delay, sites=200, ri
         if s < sites:
             excess.append(chain.stress()[s] - threshold[s])
     return s, np.array(excess), chain.load, chain.stress()
+
+
+def ages(law, newborn, scale):
+    """Strength of a contact by its age, over that of an old one."""
+    if law == "exponential":
+        return lambda a: newborn + (1 - newborn) * (1 - np.exp(-a / scale))
+    return lambda a: newborn + (1 - newborn) * np.minimum(np.log2(1 + a / scale), 1)
