@@ -1,5 +1,6 @@
 """Public names and their modules, as ``__init__.py`` reads them."""
 
+from slippulse_jax import experiments as experiments
 from slippulse_jax import plot as plot
 from slippulse_jax import theory as theory
 from slippulse_jax.block import Block as Block

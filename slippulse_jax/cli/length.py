@@ -9,21 +9,31 @@ from slippulse_jax.cli.shared import (
     as_json,
     contacts_of_block,
     one_form,
+    option,
     print_json,
     push_control,
     refuse,
     right_end,
     slider_options,
 )
+from slippulse_jax.experiments import ALL
 
 if TYPE_CHECKING:
     from slippulse_jax.slider import Slider
 
 UNPRESSED = {"normal_stiffness": None, "friction": None, "contact_law": "amontons", "top": "free"}
 """Defaults of the options of a block."""
+OF_EXPERIMENT = {
+    "height": ("height_mm", 1e-3), "block_length": ("block_length_mm", 1e-3), "young": ("young_gpa", 1e9),
+    "correlation_length": ("correlation_length_um", 1e-6), "areal_stiffness": ("areal_stiffness", 1), "poisson": ("poisson", 1),
+    "friction": ("friction", 1), "push_height": ("push_height", None), "push_width": ("push_width", None),
+    "machine_stiffness": ("machine", None), "block_width": ("machine", None),
+}  # fmt: skip
+"""Option for each number of an experiment, and its unit in SI; None where it is over others."""
 
 
 @click.command()
+@click.option("--experiment", type=click.Choice(list(ALL)), help="Published set-up; other options replace or add numbers.")
 @slider_options(required=False)
 @click.option("--height-mm", type=float, metavar="MM", help="Height of the slider, in SI form.")
 @click.option("--correlation-length-um", type=float, metavar="UM", help="Correlation length λc.")
@@ -46,42 +56,31 @@ UNPRESSED = {"normal_stiffness": None, "friction": None, "contact_law": "amonton
 @contacts_of_block(float)
 @as_json
 def command(
-    poisson: float,
+    experiment: str | None,
     right: str,
     sites: int | None,
-    block_length_mm: float | None,
-    machine: float | None,
-    push_height: float | None,
-    push_width: float | None,
     push_control: Any,
     as_json: bool,
     **given: Any,
 ) -> None:
     """Compute the first precursor of one slider or pushed block.
 
-    Give either --height and --stiffness, or all of --height-mm, --correlation-length-um, --areal-stiffness and --young-gpa.
+    Give either --height and --stiffness, or all of --height-mm, --correlation-length-um, --areal-stiffness and --young-gpa,
+    or --experiment and what its source does not give.
     """
     import jax
 
+    if experiment is not None:
+        given = _completed(experiment, given)
     pressed = {name: given.pop(name) for name in UNPRESSED}
+    _check(given, pressed != UNPRESSED, push_control is not None, sites is not None or right != "semi-infinite")
+    beside = ("poisson", "block_length_mm", "machine", "push_height", "push_width")
+    poisson, block_length_mm, machine, push_height, push_width = (given.pop(name) for name in beside)
     si = "height_mm", "correlation_length_um", "areal_stiffness", "young_gpa"
     form = one_form(given, "slider", ("height", "stiffness"), si)
-    if push_height is None:
-        if push_width is not None or push_control is not None:
-            raise click.UsageError("--push-width and --push-control describe a push: give --push-height too")
-        if pressed != UNPRESSED:
-            raise click.UsageError(
-                "--friction, --normal-stiffness, --contact-law and --top are a block's: give --push-height too"
-            )
-        if block_length_mm is not None and right == "semi-infinite":
-            right = "free"
-        length = sites if block_length_mm is None else _in_sites(block_length_mm, sites, given["correlation_length_um"])
-    else:
-        ends = {"--sites": sites, "--block-length-mm": block_length_mm, "--machine": machine}
-        ends["--right"] = None if right == "semi-infinite" else right
-        if given_too := [name for name, value in ends.items() if value is not None]:
-            raise click.UsageError(f"{given_too[0]}: a block that is pushed at a height is half-infinite, and its edge is held")
-        length = None
+    if push_height is None and block_length_mm is not None and right == "semi-infinite":
+        right = "free"
+    length = sites if block_length_mm is None else _in_sites(block_length_mm, sites, given["correlation_length_um"])
     with jax.enable_x64(True):
         from slippulse_jax.slider import Slider
 
@@ -92,15 +91,46 @@ def command(
                 result, text = asked | _of_slider(slider, right, length, machine), _text
             else:
                 push = {"push_height": push_height, "push_width": push_width, "push_control": push_control or "displacement"}
+                pressed |= {"length": None if length is None else round(length), "machine": machine}
                 result, text = asked | _of_block(slider, push, pressed), _block_text
         except ValueError as error:
             refuse(error)
     if "correlation_length" in form:
         result["length_mm"] = result["length"] * form["correlation_length"] * 1e3
+    if experiment is not None:
+        result |= {"experiment": experiment, "source": ALL[experiment].cite()}
     if as_json:
         print_json(result)
     else:
         click.echo(text(result))
+
+
+def _check(given: dict[str, Any], is_pressed: bool, is_controlled: bool, has_end: bool) -> None:
+    """Check that the options go together."""
+    if given["poisson"] is None:
+        raise click.MissingParameter(param_hint="'--poisson'", param_type="option")
+    if given["push_height"] is None and (is_controlled or given["push_width"] is not None):
+        raise click.UsageError("--push-width and --push-control describe a push: give --push-height too")
+    if given["push_height"] is None and is_pressed:
+        raise click.UsageError("--friction, --normal-stiffness, --contact-law and --top are a block's: give --push-height too")
+    if given["push_height"] is not None and has_end:
+        raise click.UsageError("--sites and --right are a slider's: the end of a pushed block is free, at --block-length-mm")
+
+
+def _completed(experiment: str, given: dict[str, Any]) -> dict[str, Any]:
+    """Add the numbers of an experiment to the options that are given."""
+    source = ALL[experiment]
+    known = {name: getattr(source, name) for name in OF_EXPERIMENT if name not in source.lacks}
+    found = {own: known[name] / unit for name, (own, unit) in OF_EXPERIMENT.items() if unit and name in known}
+    found |= {own: value for own, value in given.items() if value is not None}
+    height = found.get("height_mm", math.nan) * 1e-3
+    found = {name: known[name] / height for name in ("push_height", "push_width") if name in known} | found
+    if "young_gpa" in found and {"machine_stiffness", "block_width"} <= known.keys():
+        found = {"machine": known["machine_stiffness"] / known["block_width"] / (found["young_gpa"] * 1e9)} | found
+    if missing := [name for name in source.lacks if OF_EXPERIMENT[name][0] not in found]:
+        told = ", ".join(f"{name} ({option(OF_EXPERIMENT[name][0])})" for name in missing)
+        raise click.UsageError(f"{experiment} lacks {told}: give these options too")
+    return given | found
 
 
 def _in_sites(block_length_mm: float, sites: int | None, correlation_length_um: float | None) -> float:
@@ -141,14 +171,14 @@ def _of_slider(slider: "Slider", right: Any, sites: float | None, machine: float
     }
 
 
-def _of_block(slider: "Slider", push: dict[str, Any], pressed: dict[str, Any]) -> dict[str, Any]:
+def _of_block(slider: "Slider", push: dict[str, Any], contacts: dict[str, Any]) -> dict[str, Any]:
     from slippulse_jax.block import Block, Push
     from slippulse_jax.exact.front import exact_length
     from slippulse_jax.precursor import precursor_length
 
-    block = Block(slider.height, slider.stiffness, slider.poisson, Push(*push.values()), **pressed)
+    block = Block(slider.height, slider.stiffness, slider.poisson, Push(*push.values()), **contacts)
     lengths = {"length": float(precursor_length(block)), "length_of_slider": float(exact_length(slider))}
-    return {**push, **pressed, **lengths}
+    return {**push, **contacts, "sites": block.sites, **lengths}
 
 
 def _block_text(result: dict[str, Any]) -> str:
@@ -160,14 +190,19 @@ def _block_text(result: dict[str, Any]) -> str:
         length = "none: the neighbour of the first contact holds"
     if math.isnan(result["length"]):  # any other reason is an error
         length = "none: the block lifts off"
+    if math.isinf(result["length"]):
+        length = "none: the front runs through the block"
     normal, friction = result["normal_stiffness"], result["friction"]
     pressed = "" if normal is None else f"; k_n/k = {normal:g}"
     pressed += "" if friction is None else f"; thresholds of μ = {friction:g} times the pressure"
+    ends = f"; {result['sites']} contacts long" * bool(result["sites"])
+    ends += f"; machine M/K = {result['machine']:g}" if result["machine"] else ""
     of_slider = f"{result['length_of_slider']:.6g} λc" if math.isfinite(result["length_of_slider"]) else "none"
     lines = [
-        f"block: {_numbers(result)}; pushed {where}, {result['push_control']} held{pressed}",
+        f"block: {_numbers(result)}{ends}; pushed {where}, {result['push_control']} held{pressed}",
         f"ℓ   = {length}",
         f"      {of_slider} with the slider of the same contacts",
+        *([f"numbers of {result['experiment']}: {result['source']}"] if "experiment" in result else []),
     ]
     return "\n".join(lines)
 

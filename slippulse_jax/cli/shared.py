@@ -108,7 +108,7 @@ def slider_options(*, required: bool) -> Option:
         click.option(
             "--stiffness", type=float, required=required, metavar="k/K", help="Contact stiffness over bond stiffness K = Eλc."
         ),
-        click.option("--poisson", type=float, required=True, metavar="ν", help="Poisson's ratio."),
+        click.option("--poisson", type=float, required=required, metavar="ν", help="Poisson's ratio."),
     )
 
 
