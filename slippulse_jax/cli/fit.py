@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slippulse_jax.cli.shared import NOT_CONVERGED, as_json, choice, figure_path, print_json, refuse, save_figure
-from slippulse_jax.inference.choices import Body, IntervalsBy, Loss, MeasuredEvent, Method, Sigma
+from slippulse_jax.inference.choices import Body, IntervalsBy, Loss, MeasuredEvent, Method, Sigma, Template
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.fit import FitResult
@@ -24,12 +24,12 @@ def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ..
     return found
 
 
-def _print_template(ctx: click.Context, parameter: click.Parameter, body: Body | None) -> None:
+def _print_template(ctx: click.Context, parameter: click.Parameter, kind: Template | None) -> None:
     """Print a table to fill in, and no more."""
-    if body is not None:
+    if kind is not None:
         from slippulse_jax.inference.table.columns import template
 
-        click.echo(template(body), nl=False)
+        click.echo(template(kind), nl=False)
         ctx.exit()
 
 
@@ -49,8 +49,8 @@ class WithColumns(click.Command):
 @click.argument("csv", metavar="LENGTHS.CSV")
 @choice(
     "--template",
-    Body,
-    "Print a table to fill in, of sliders or of blocks, instead.",
+    Template,
+    "Print a table to fill in instead: lengths on sliders or on blocks, or the events of a block up to sliding.",
     callback=_print_template,
     is_eager=True,
     expose_value=False,
@@ -74,7 +74,12 @@ class WithColumns(click.Command):
 @choice("--sigma", Sigma, "Take σ as given, or only the ratios of σ.")
 @choice("--method", Method, "Levenberg-Marquardt, or optax's L-BFGS or Adam.")
 @choice("--intervals", IntervalsBy, "Profile (chi-squared) or simulated intervals; auto simulates where chi-squared misleads.")
-@choice("--event", MeasuredEvent, "What the lengths are: domino = first front, full = whole event, crack = crack-like front.")
+@choice(
+    "--event",
+    MeasuredEvent,
+    "What was measured: domino = length of the first front, full = of the whole event, crack = of a crack-like front, "
+    "sequence = forces up to sliding.",
+)
 @choice(
     "--body",
     Body,
@@ -101,7 +106,8 @@ class WithColumns(click.Command):
 def command(ctx: click.Context, csv: str, **options: Any) -> None:
     """Fit the interface to measured first precursors.
 
-    LENGTHS.CSV has one precursor per line, and units in its column names, listed below; without them lengths are in λc.
+    LENGTHS.CSV has one precursor per line, or one event of a sequence, and units in its column names, listed below; without
+    them lengths are in λc.
 
     GAUGES.CSV has one reading per line, by the label of the precursor. Then fit strength too: --free stiffness --free strength.
 

@@ -17,9 +17,13 @@ Method = Literal["lm", "lbfgs", "adam"]
 IntervalsBy = Literal["auto", "profile", "calibrated"]
 """Intervals by rises of the deviance from χ², or from simulated measurements; `auto` chooses."""
 
-MeasuredEvent = Literal["domino", "full", "crack"]
-"""What the measured length is that of: the first front, whose contacts heal; the whole event, in which they may break again;
-or the front of a crack, behind which they slide."""
+MeasuredEvent = Literal["domino", "full", "crack", "sequence"]
+"""What was measured: the length of the first front, whose contacts heal; of the whole event, in which they may break again; of
+the front of a crack, behind which they slide; or the force at which the front of a block first reaches each place, up to
+sliding."""
 
 Body = Literal["slider", "block"]
 """What carries the contacts: the paper's slider, or a block under two-dimensional elasticity that is pushed at a height."""
+
+Template = Literal["slider", "block", "sequence"]
+"""Tables to fill in: lengths on sliders or on blocks, or the events of a block up to sliding."""

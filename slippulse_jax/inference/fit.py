@@ -24,6 +24,7 @@ from slippulse_jax.inference.model.parameters import (
 from slippulse_jax.inference.result import record
 from slippulse_jax.inference.result.result import FitResult
 from slippulse_jax.inference.result.verdict import judge
+from slippulse_jax.inference.search.clouds import gathered, within_reach
 from slippulse_jax.inference.search.intervals import (
     LEVELS,
     Interval,
@@ -80,8 +81,9 @@ def fit(
     """Fit the interface to measured first precursors.
 
     The model is the length ℓ of the first precursor on a slider, as `precursor_length` has it, or the length of the whole event
-    on a block whose push is stated. The deviance −2 ln(likelihood × prior), which is χ² for plain lengths, is minimised from
-    many starts at once. The intervals are profile-likelihood intervals, in as many disjoint pieces as there are.
+    on a block whose push is stated, or the forces of its events up to sliding. The deviance −2 ln(likelihood × prior), which is
+    χ² for plain lengths, is minimised from many starts at once. The intervals are profile-likelihood intervals, in as many
+    disjoint pieces as there are.
 
     Parameters
     ----------
@@ -113,11 +115,13 @@ def fit(
         Rises of the deviance from χ²; or from measurements simulated at every value, which keep their coverage near the
         longest attainable length too (`slippulse_jax.inference.search.intervals`; one or two parameters, plain lengths). By
         default simulated where valleys of the deviance compete, or its shape is far from a parabola.
-    event : {"domino", "full", "crack"} or Front
+    event : {"domino", "full", "crack", "sequence"} or Front
         What was measured: the first front; or the whole event, in which contacts may break again where the areal stiffness is
         large (`rebreaking_onset`), with a cost that grows with it (docs/fit/use.md), for lengths without gauges; or the front
-        of a crack, behind which contacts slide at a "friction" that is fitted or held (docs/model/crack.md). By default
-        "domino" of a slider and "full" of a block. Or a model of one's own, a `Front` (docs/howto/model.md).
+        of a crack, behind which contacts slide at a "friction" that is fitted or held (docs/model/crack.md); or a sequence, the
+        forces at which the front of a block first reaches each place up to sliding (docs/fit/sequence.md). By default "domino"
+        of a slider, and of a block "sequence" where it has forces, else "full". Or a model of one's own, a `Front`
+        (docs/howto/model.md).
     body : {"slider", "block"}
         The paper's slider; or a block under two-dimensional elasticity, pushed where `measurements` say (docs/model/block.md):
         taken by default where they say so for every line.
@@ -147,13 +151,14 @@ def fit(
         check_choice(name, value, known)
     check_whole("max_steps", max_steps, 1)
     check_whole("seed", seed, 0)
-    scaled = sigma == "relative" or measurements.length_sigma is None
+    scaled = (sigma == "relative" or measurements.length_sigma is None) and not measurements.is_sequence
     every = with_errors_of_measuring(measurements, wanted, size_known=not scaled)
     problem = make_problem(measurements, checked(measurements, every, event, body), loss, measurements.stated_sigma)
     _check_scaled(problem, scaled)
     _check_calibrated(problem, intervals, scaled)
     counts = allowed_by_counts(problem) if problem.only_counts and not problem.parameters.front.interpolated else None
     ranges, at_odds = counts or ([], None)
+    whole, problem = problem.parameters, _gathered(problem, seed)
     between = None if scaled or counts else between_contacts(problem, seed)
     if between is not None:
         problem = problem.widened(between)
@@ -166,6 +171,7 @@ def fit(
             else:
                 found = _explore(shown, method, max_steps, seed)
     limits = {level: found.deviance + rise_of(level, dof=found.scatter_dof) for level in LEVELS}
+    found = found._replace(curves=_within_reach(problem, found.curves))
     profiled = {j: allowed(problem, j, curve, limits) for j, curve in found.curves.items()}
     if counts is not None:
         profiled = {0: dict.fromkeys(LEVELS, ranges)}
@@ -173,6 +179,7 @@ def fit(
     if counts is None and not scaled and to_be_simulated(problem, intervals, found, profiled):
         with _progress(problem) as shown:
             simulated = {j: calibrated(shown, j, curve, seed) for j, curve in found.curves.items()}
+    problem = dataclasses.replace(problem, parameters=whole)  # not only where series of sequences were followed
     longest, longest_at = problem.parameters.attainable(found.theta)
     # counts at odds are named; the search of such a misfit need not converge
     unconverged = [] if counts else [start for start in found.unconverged if start[0] <= limits[LEVELS[-1]]]
@@ -209,6 +216,16 @@ def fit(
         covered={names[j]: shares for j, shares in found.covered.items()},
         suspicions=suspected,
     )
+
+
+def _gathered(problem: Problem, seed: int) -> Problem:
+    """Follow the series that a fit of sequences needs."""
+    return gathered(problem, seed) if problem.measurements.is_sequence else problem
+
+
+def _within_reach(problem: Problem, curves: dict[int, Curve]) -> dict[int, Curve]:
+    """Profiles where they are known."""
+    return {j: within_reach(curve) for j, curve in curves.items()} if problem.measurements.is_sequence else curves
 
 
 @contextmanager

@@ -17,6 +17,7 @@ from slippulse_jax.inference.choices import Body, Loss, MeasuredEvent
 from slippulse_jax.inference.model.check import checked
 from slippulse_jax.inference.model.fronts import Front
 from slippulse_jax.inference.model.parameters import Parameter, wanted_parameters, with_errors_of_measuring
+from slippulse_jax.inference.search.clouds import gathered
 from slippulse_jax.inference.search.likelihood import Problem, make_problem
 from slippulse_jax.inference.search.minima import lowest_look
 from slippulse_jax.inference.table.measurements import Measurements, measurements_of
@@ -110,7 +111,7 @@ def objective(
     True
     """
     m = measurements_of(measurements)
-    if m.length_sigma is None:
+    if m.length_sigma is None and not m.is_sequence:
         raise ValueError(
             f"{m.source}: lengths without σ have no likelihood: give their standard errors; fit takes σ from the scatter"
         )
@@ -119,4 +120,5 @@ def objective(
         warnings.warn(what, RuntimeWarning, stacklevel=2)
     check_choice("loss", loss, Loss)
     wanted = with_errors_of_measuring(m, wanted_parameters(free, bounds, fixed), size_known=True)
-    return Objective(make_problem(m, checked(m, wanted, event, body), loss, m.stated_sigma))
+    problem = make_problem(m, checked(m, wanted, event, body), loss, m.stated_sigma)
+    return Objective(gathered(problem, seed=0) if m.is_sequence else problem)

@@ -24,11 +24,13 @@ from slippulse_jax.plot.fits import corner as corner
 from slippulse_jax.plot.fits import fit as fit
 from slippulse_jax.plot.fits import fit_lengths as fit_lengths
 from slippulse_jax.plot.fits import fit_profiles as fit_profiles
+from slippulse_jax.plot.fits import fit_sequence as fit_sequence
 from slippulse_jax.plot.fits import gauge_readings as gauge_readings
 from slippulse_jax.plot.fits import gauges as gauges
 from slippulse_jax.plot.fits import length_versus_stiffness as length_versus_stiffness
 from slippulse_jax.plot.fits import profile as profile
 from slippulse_jax.plot.fits import residuals as residuals
+from slippulse_jax.plot.fits import sequence_events as sequence_events
 from slippulse_jax.plot.maps import sweep as sweep
 from slippulse_jax.plot.profiles import recovered_profile as recovered_profile
 from slippulse_jax.plot.profiles import resolution as resolution

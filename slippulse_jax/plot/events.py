@@ -14,7 +14,7 @@ from slippulse_jax.events.catalogue import Catalogue, EventClass, table
 from slippulse_jax.events.rupture import Rupture
 from slippulse_jax.front.sensitivity import Sensitivity
 from slippulse_jax.interface import Interface, Profile
-from slippulse_jax.plot.labels import DISTANCE, as_written, axis_label
+from slippulse_jax.plot.labels import DISTANCE, EXTENT, as_written, axis_label
 from slippulse_jax.plot.style import ABOVE, axes, colours, drawn, handles_of
 
 if TYPE_CHECKING:
@@ -229,7 +229,7 @@ def precursors(
                 ax.plot(force[here], extent[here] / contacts, marker, **look)
     right = max(1.05 * force.max(initial=0), ax.get_xlim()[1] if ax.get_xlim()[0] == 0 else 0)
     name = name if ax.get_xlabel() in ("", name) else OVER_STRENGTH  # of what else is drawn
-    ax.set(xlabel=name, ylabel="extent over length, $x/L$", xlim=(0, right), ylim=(0, 1.05))
+    ax.set(xlabel=name, ylabel=EXTENT, xlim=(0, right), ylim=(0, 1.05))
     opened = any(line.get_fillstyle() == "none" for line in ax.lines)
     title = "open: does not begin at the edge" if opened else None
     ax.legend(handles=handles_of(ax, again=False), **ABOVE, ncols=2, title=title, title_fontsize="small", alignment="left")

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slippulse_jax.inference.model.fronts import BlockSequence
 from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.result.predicted import alike
 from slippulse_jax.inference.result.report import title
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.inference.search.intervals import LEVELS, profile_2d
 from slippulse_jax.inference.table.columns import READINGS
-from slippulse_jax.plot.labels import as_written, axis_label, equation, printed
+from slippulse_jax.plot.labels import EXTENT, OVER_LOAD, as_written, axis_label, equation, printed
 from slippulse_jax.plot.style import (
     ABOVE,
     COLUMN,
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 
     from slippulse_jax.inference.fit import FitResult
     from slippulse_jax.inference.model.parameters import Free
+    from slippulse_jax.inference.model.sequence import Followed
     from slippulse_jax.inference.result.predicted import LengthCurve
     from slippulse_jax.inference.table.measurements import Gauges
 
@@ -46,15 +48,20 @@ MARKERS, BEYOND = "osDXv<>P", "^"
 """Of specimens, and of fronts without arrest."""
 MEASURED = "measured"
 """Name of the measurements where no specimens are told apart."""
-TITLE = 140
-"""Most characters per line of a title."""
+TITLE = 132
+"""Most characters per line of a title, which then fits a page of 170 mm."""
+SPANNING = "D"
+"""Of the event of a sequence that spans the block."""
+DRAWS = 40
+"""Series of which 95 % lie in the band of a sequence."""
 GAUGE_UNITS = {"slip": (1e6, "slip (µm)"), "stress": (1e-6, "contact stress after arrest (MPa)")}
 
 
 def fit(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
     """Draw a fit: lengths, residuals, and length versus stiffness or profiles.
 
-    Lengths are drawn against height. A single stiffness is drawn against the lengths. Of several parameters the profiles of the
+    Lengths are drawn against height; the extent of a sequence against the force (`fit_sequence`), its events by another
+    function (`sequence_events`). A single stiffness is drawn against the lengths. Of several parameters the profiles of the
     first four are drawn, without those that a prior holds if there are others; `fit_profiles` draws all. The title has the
     result, the material and the specimens. With `ax`, the panels take its place.
     """
@@ -66,12 +73,14 @@ def fit(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
         above, right = figure.add_subplot(grid[0, 0]), grid[:, 1]  # where one panel is level with the lengths
         others = [figure.add_subplot(place) for place in (right.subgridspec(len(names), 1) if len(names) > 1 else [right])]
         below = figure.add_subplot(grid[1, 0])
-        fit_lengths(result, ax=above)
-        above.set_xlabel("")
-        above.tick_params(labelbottom=False)
+        sequence = isinstance(result.parameters.front, BlockSequence)
+        (fit_sequence if sequence else fit_lengths)(result, ax=above)
         residuals(result, along_height=True, ax=below)
-        below.set_xlim(above.get_xlim())
-        if len(result.parameters.free) == 1 and "stiffness" in names[0]:
+        if not sequence:
+            above.set_xlabel("")
+            above.tick_params(labelbottom=False)
+            below.set_xlim(above.get_xlim())
+        if len(result.parameters.free) == 1 and "stiffness" in names[0] and not sequence:
             length_versus_stiffness(result, ax=others[0])
         else:
             _profiles(result, list(zip(names, others, strict=True)))
@@ -181,10 +190,11 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
 
     Against the height of the push where one block was pushed at several. With its 95 % band, and the longest lengths possible.
     The curve is dashed where the edge contact breaks again before the front stops, so that the event goes on. Ticks mark the
-    fitted lengths that lie off it, where inputs differ between the points of a curve.
+    fitted lengths that lie off it, where inputs differ between the points of a curve. A ValueError for a sequence.
     """
     from matplotlib.patches import Patch
 
+    _check_lengths(result)
     ax = axes(ax)
     c = colours(ax)
     m = result.measurements
@@ -270,7 +280,9 @@ def _draw_fitted(result: "FitResult", ax: "Axes", visible: float) -> None:
 
 def _curves(result: "FitResult", ax: "Axes") -> list[tuple[str, np.ndarray]]:
     """Colour and measurements of each curve."""
-    groups = result.groups[1]
+    front = result.parameters.front
+    of_sequence = isinstance(front, BlockSequence)
+    groups = [np.flatnonzero(front.group == i) for i in np.unique(front.group)] if of_sequence else result.groups[1]
     return list(zip(_palette(colours(ax), len(groups)), groups, strict=True))
 
 
@@ -317,12 +329,116 @@ def _apart(result: "FitResult") -> np.ndarray:
     return x
 
 
+def _check_lengths(result: "FitResult") -> None:
+    if isinstance(result.parameters.front, BlockSequence):
+        raise ValueError("the measurements are forces of a sequence, not lengths: use plot.fit or plot.fit_sequence")
+
+
+@drawn
+def fit_sequence(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
+    """Draw the extent of a sequence of precursors against the force.
+
+    As experiments report it: the extent over the length of the block, against the force over the normal load or, where that is
+    unknown, the force. Thick errors are those stated, thin ones contain those of the model. The line is the series at the best
+    fit: how far the front got, and at which force. In the band are 95 % of `DRAWS` series with parameters that the data allow.
+    Ticks are the fitted forces, means over many series, each of which has its own order of breaks. A ValueError for lengths.
+    """
+    front, size, name = _force_of(result)
+    ax = axes(ax)
+    m, curves, draws, place = result.measurements, _curves(result, ax), _draws(result), np.arange(0.5, 256) / 256
+    every = _followed(result, np.concatenate([result.theta[None], draws]))
+    for (color, rows), (_, found) in zip(curves, every, strict=True):
+        farther, reached = found.advance[0] > 0, np.minimum(found.reached[0], 1.0)
+        stairs = np.repeat(found.force[0][farther], 2), np.append(0.0, np.repeat(reached[farther], 2)[:-1])
+        of, last = f"{as_written(m.sequence[rows[0]])}: " if len(curves) > 1 else "", rows is curves[-1][1]
+        ax.plot(*stairs, color=color, lw=1, label=of + _best(result))
+        if len(draws):
+            band = np.quantile(found.force_at(place, 0 * place)[0, 1:], [0.5 - BAND_LEVEL / 2, 0.5 + BAND_LEVEL / 2], axis=0)
+            label = f"{BAND_LEVEL:.0%} band of series" if last else None
+            ax.fill_betweenx(place, *band, color=color, alpha=0.25, lw=0, label=label)
+        label = "fitted: mean of series" if last else None
+        ax.plot((result.fitted * size)[rows], front.place[rows], "|", color=color, ms=7, mew=1.5, label=label)
+    force, used = result.problem.lengths.value[0] * size, result.sigma * size
+    stated, along = m.or_zero("force_sigma") * size, np.nan_to_num(m.sigma) / m.or_zero("block_length")
+    spans = np.array(m.kind) == "at_least"
+    for marker, color, what, rows in _series(result, ax):
+        shown = (rows[~spans[rows]], marker, 3.5, f"{what} ± σ"), (rows[spans[rows]], SPANNING, 5, "spanning ± σ")
+        for own, sign, wide, label in (one for one in shown if one[0].size):
+            at, look = (force[own], front.place[own]), {"color": color, "zorder": 3}
+            ax.errorbar(*at, along[own], stated[own], fmt=sign, ms=wide, capsize=2, label=label, **look)
+            ax.errorbar(*at, None, used[own], fmt="none", elinewidth=0.6, label="± σ with the model's", **look)
+    ax.set(xlabel=name, ylabel=EXTENT, ylim=(0, 1.06))
+    legend_above(ax, handles_of(ax, again=False), most=2, title="Sequence and fit")
+    return ax
+
+
+def _draws(result: "FitResult") -> np.ndarray:
+    """Draw θ by importance, (`DRAWS`, p); none of a rejected fit."""
+    if result.rejected or result.covariance is None:
+        return np.empty((0, len(result.theta)))
+    random, q = np.random.default_rng(0), result.parameters
+    error = np.sqrt(2 * np.diag(result.covariance))
+    narrowed = np.minimum(error, q.high - q.low) / error  # where hardly anything is known
+    covariance = 2 * result.covariance * np.outer(narrowed, narrowed)
+    theta = random.multivariate_normal(result.theta, covariance, 50 * DRAWS, method="eigh")
+    theta = np.vstack([result.theta, theta[((theta >= q.low) & (theta <= q.high)).all(axis=1)]])
+    off = theta - result.theta
+    log = np.einsum("ti,ij,tj->t", off, np.linalg.pinv(covariance), off) / 2 - result.problem(theta).value
+    weight = np.exp(log - np.nanmax(log), where=log > -np.inf, out=np.zeros(len(log)))
+    return theta[random.choice(len(theta), DRAWS, p=weight / weight.sum())]
+
+
+def _force_of(result: "FitResult") -> tuple[BlockSequence, np.ndarray, str]:
+    """Model of a sequence, drawn force per N/m, and its label."""
+    m, front = result.measurements, result.parameters.front
+    if not isinstance(front, BlockSequence):
+        raise ValueError("the measurements are lengths, not forces of a sequence: use plot.fit or plot.fit_lengths")
+    if m.normal_load is not None:
+        return front, 1 / m.normal_load, OVER_LOAD
+    return front, m.unit_of_force[0], axis_label("force", m.unit_of_force[1])
+
+
+def _followed(result: "FitResult", theta: np.ndarray) -> "Iterator[tuple[np.ndarray, Followed]]":
+    """Rows of each sequence, and its series at θ, (t, p)."""
+    front, size, _ = _force_of(result)
+    inputs = result.parameters.inputs.at(theta)
+    size = size * inputs.get("friction") * np.exp(result.parameters.scales["reach"](theta))
+    for rows, found in front.series(inputs):
+        yield rows, found._replace(force=found.force * size[:, rows[:1]])
+
+
+@drawn
+def sequence_events(result: "FitResult", name: str | None = None, *, ax: "Axes | None" = None) -> "Axes":
+    """Draw which part of the interface breaks at which load and force.
+
+    Each event of the series at the best fit is a bar from the first to the last contact that breaks. Upwards is the load,
+    which only rises, while forces return to what they were. Of several sequences `name` chooses one; by default the first. A
+    ValueError for lengths, and for a name that is not there.
+    """
+    _, _, label = _force_of(result)
+    names = result.measurements.sequence or ("",) * len(result.measurements)
+    if name is not None and name not in names:
+        raise ValueError(f"name = {name!r}: one of {', '.join(map(repr, sorted({*names})))}")
+    ax = axes(ax)
+    every = [(names[rows[0]], found) for rows, found in _followed(result, result.theta[None])]
+    own, found = next(one for one in every if name in (None, one[0]))
+    events = found.end[0] > 0
+    force, load, begin, end = (x[0][events] for x in (found.force, found.load, found.begin, found.end))
+    bars = ax.hlines(load, begin, end, array=force, cmap="cividis", lw=1.5)
+    ax.set(xlabel="distance from the pushed edge, $x/L$", ylabel=axis_label("load", "u_s"), xlim=(0, 1.02))
+    ax.set_title(f"Events: {_best(result)}" + f", {as_written(own)}" * bool(own))
+    ax.figure.colorbar(bars, ax=ax, label=label)
+    return ax
+
+
 @drawn
 def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     """Draw ℓ/H against stiffness for up to six measured heights.
 
-    Of the block, or of its push. With the measured ℓ/H, and the interval of the stiffness; dashed as in `fit_lengths`.
+    Of the block, or of its push. With the measured ℓ/H, and the interval of the stiffness; dashed, and a ValueError, as in
+    `fit_lengths`.
     """
+    _check_lengths(result)
     ax = axes(ax)
     c = colours(ax)
     m, q, (scale, unit), along = result.measurements, result.parameters, result.measurements.unit, result.groups[0]
@@ -393,28 +509,38 @@ def _measured_share(result: "FitResult", rows: np.ndarray) -> tuple[float, float
 def residuals(result: "FitResult", *, along_height: bool = False, ax: "Axes | None" = None) -> "Axes":
     """Draw (fitted − measured)/σ against the fitted length.
 
-    Or against what `fit_lengths` has along its axis.
+    Or against what `fit_lengths` has along its axis. Those of a sequence are of its forces, against the extent, and of first
+    lengths.
     """
     ax = axes(ax)
     c = colours(ax)
-    m, sigma = result.measurements, result.sigma
-    along = result.groups[0] if along_height else "length"
-    x = _apart(result) if along_height else result.fitted * m.unit[0]
+    m, sigma, front = result.measurements, result.sigma, result.parameters.front
+    further, first, beyond = [], np.empty(0, int), (BEYOND, 6)
+    if isinstance(front, BlockSequence):
+        label, x, further, first, beyond = EXTENT, front.place, result.further, front.first, (SPANNING, 5)
+        ax.set_xlim(0, 1.06)
+    elif along_height:
+        label, x = axis_label(result.groups[0], m.unit[1]), _apart(result)
+    else:
+        label, x = axis_label("length", m.unit[1]).replace("precursor", "fitted"), result.fitted * m.unit[0]
     ax.axhspan(-1, 1, color=c.blue, alpha=0.12, lw=0, label="± σ")
     ax.axhline(0, color=c.grey, lw=0.8)
     limit = np.array(m.kind) == "at_least"
     for marker, color, _, rows in _series(result, ax):
-        for own, sign, size in ((rows[~limit[rows]], marker, None), (rows[limit[rows]], BEYOND, 6)):
+        for own, sign, size in ((rows[~limit[rows]], marker, None), (rows[limit[rows]], *beyond)):
             ax.plot(x[own], result.residuals[own], sign, ms=size, color=color)
-    label, per, between = axis_label(along, m.unit[1]), "σ", "\n" if along_height else " "  # a panel of residuals is low
-    ax.set_xlabel(label if along_height else label.replace("precursor", "fitted"))
+        for one in further:
+            own = np.isin(first, rows)
+            ax.plot(x[first[own]], one.residuals[own], marker, color=color, mfc="none", label="of the first length")
+    per, between = "σ", "\n" if along_height else " "  # a panel of residuals is low
+    ax.set_xlabel(label)
     if not sigma.all():
         per = rf"σ{between}(counts: $\lambda_c$)" if sigma.any() else r"$\lambda_c$"
     ax.set_ylabel(f"misfit/{per}" if along_height else f"(fitted − measured)/{per}")
-    reach = max(3.0, 1.15 * float(np.abs(result.residuals).max()))
+    reach = max(3.0, 1.15 * float(np.abs(np.concatenate([result.residuals, *(one.residuals for one in further)])).max()))
     ax.set_ylim(-reach, reach)
-    if not along_height:
-        ax.legend(**ABOVE)
+    if not along_height or further:
+        ax.legend(handles=handles_of(ax, again=False), **ABOVE, ncols=2)
     return ax
 
 
@@ -531,7 +657,8 @@ def _name(one: "Free", axis: "Axis") -> None:
         axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:.10g}")
         unit = f"$10^{{{power}}}$ {printed(unit)}".rstrip()
     specimen = one.label.partition("[")[2][:-1]
-    axis.set_label_text(axis_label(one.name, unit) + (f"\n[{as_written(specimen)}]" if specimen else ""))
+    name = "friction_coefficient" if one.symbol == "μ" else one.name
+    axis.set_label_text(axis_label(name, unit) + (f"\n[{as_written(specimen)}]" if specimen else ""))
 
 
 def _curve_names(result: "FitResult", groups: list[tuple[str, np.ndarray]]) -> list[str]:

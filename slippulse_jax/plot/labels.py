@@ -17,6 +17,12 @@ NAMES = {
     "repin_delay": ("repinning delay", "n"),
     "strength": ("strength", r"\sigma_s"),
     "friction": ("friction behind the front", r"\sigma_k"),
+    "friction_coefficient": ("friction coefficient", r"\mu"),
+    "newborn": ("strength of newborn over old contacts", ""),
+    "time_constant": ("time constant of ageing", r"\tau"),
+    "machine_stiffness": ("stiffness of the machine", "M"),
+    "normal_load": ("normal load", "F_N"),
+    "force": ("force", "F"),
     "offset": ("offset of the lengths", ""),
     "model_factor": ("factor on the model's lengths", ""),
     "arrest": (r"contacts broken beyond $\ell$", ""),
@@ -29,7 +35,7 @@ NAMES = {
 }
 """Name and symbol of each quantity."""
 
-UNITS = {"λc": r"\lambda_c", "lambda_c": r"\lambda_c", "σ_s": r"\sigma_s", "sigma_s": r"\sigma_s", "u_s": "u_s"}
+UNITS = {"λc": r"\lambda_c", "lambda_c": r"\lambda_c", "σ_s": r"\sigma_s", "sigma_s": r"\sigma_s", "u_s": "u_s", "E": "E"}
 """Units of the model."""
 
 COMBINED = {
@@ -118,6 +124,10 @@ def _drawn_as(character: str) -> str:
 
 DISTANCE = axis_label("position", "λc")
 """Label of every axis along the interface."""
+
+OVER_LOAD = "force over normal load, $F/F_N$"
+EXTENT = "extent over length, $x/L$"
+"""Labels of what is measured of sequences of precursors."""
 
 AGAIN = "edge breaks again"
 """Legend entry where the length is the front's, not the event's."""

@@ -400,7 +400,7 @@ def test_the_command_has_lengths_of_blocks():
     content = json.loads(CliRunner().invoke(length_command, [*on_springs, "--json"]).stdout)
     assert (content["normal_stiffness"], content["friction"], content["top"]) == (2, None, "held")
     assert "displacement held; k_n/k = 2\n" in CliRunner().invoke(length_command, on_springs).stdout
-    for more, message in [(["--sites", "30"], "half-infinite"), (["--push-width", "1.4"], "must lie in (0, 1)")]:
+    for more, message in [(["--sites", "30"], "are a slider's"), (["--push-width", "1.4"], "must lie in (0, 1)")]:
         refused = CliRunner().invoke(length_command, [*given, *more])
         assert refused.exit_code == 2
         assert message in refused.output

@@ -353,7 +353,23 @@ def test_the_template_is_a_table(tmp_path, body):
     assert set(found.provenance) == {"measured"}
 
 
+def test_the_template_of_sequences_is_one(tmp_path):
+    """Of which the events are numbered and the last one spans."""
+    done = CliRunner().invoke(command, ["--template", "sequence"])
+    assert (done.exit_code, done.stderr) == (0, "")
+    assert done.stdout.isascii()
+    assert "# spans: no, yes\n" in done.stdout
+    found = read(tmp_path, done.stdout)
+    assert found.is_sequence
+    assert (found.skipped, found.other) == ((), {})
+    np.testing.assert_array_equal(found.event, [1, 2, 3])
+    np.testing.assert_allclose(found.force / found.normal_load, [0.1604, 0.2018, 0.1766], rtol=1e-12)
+    assert found.kind == ("length", "length", "at_least")
+    assert found.length[-1] == found.block_length[-1]
+    assert set(found.sequence) == {"A"}
+
+
 def test_bundled_tables_have_no_line_that_is_skipped():
     tables = [sp.read_measurements(path) for path in Path(__file__).parents[2].glob("fit_examples/*/lengths.csv")]
-    assert len(tables) == 10
+    assert len(tables) == 11
     assert all(table.skipped == () for table in tables)

@@ -318,3 +318,212 @@ def test_a_narrow_region_is_drawn_in_one_piece():
     inner, outer = ax.collections[0].get_paths()
     assert len(inner.to_polygons()) == 1
     assert len(outer.to_polygons()) == 2  # around and inside
+
+
+# --- sequences of a block ----------------------------------------------------------------------------------------------
+
+PLACES = [9.97, 10.79, 17.96, 27.01, 35.91, 45.11, 54.03, 62.99, 71.52, 80.23, 90.0]
+FORCES = [160.3, 132.7, 143.2, 164.9, 181.2, 202.8, 173.8, 179.7, 178.1, 173.7, 172.7]
+EVENTS = {"length_mm": [10.22, 47.63, 71.92, 76.87, 90.0], "force_N": [160.4, 201.8, 181.0, 176.7, 176.6]}
+LABELS = "force over normal load, $F/F_N$", "extent over length, $x/L$"
+
+
+def block(length, force, relative=0.005, **more):
+    """Places reached of a block of 30 × 90 × 10 mm, with relative errors; the last spans it."""
+    n = len(length)
+    known = {"height_mm": 30, "block_length_mm": 90, "block_width_mm": 10, "correlation_length_um": 625, "poisson": 0.3}
+    known |= {"young_GPa": 3, "push_height_mm": 4.5, "push_width_mm": 3, "normal_load_N": 1000}
+    errors = {"force_sigma_N": 0.01 * np.array(force), "length_sigma_mm": [*relative * np.array(length)[:-1], np.nan]}
+    spans = ["no"] * (n - 1) + ["yes"]
+    return pd.DataFrame(known | {"length_mm": length, "force_N": force, "spans": spans} | errors | more, index=range(n))
+
+
+@pytest.fixture(scope="module")
+def places():
+    return fit(block(PLACES, FORCES), free=["stiffness", "friction"])
+
+
+@pytest.fixture(scope="module")
+def numbered():
+    """Two sequences, of which the loads differ."""
+    length, force = EVENTS["length_mm"], np.array(EVENTS["force_N"])
+    each = [
+        block(length, load / 1000 * force, 0.03, event=range(1, 6), sequence=name, normal_load_N=load)
+        for name, load in (("first", 1000), ("second_$", 2000))
+    ]
+    return fit(pd.concat(each, ignore_index=True), free=["stiffness", "friction"])
+
+
+@pytest.fixture(scope="module")
+def unloaded():
+    """Whose normal load is not known."""
+    return fit(block(PLACES, FORCES).drop(columns="normal_load_N"), free=["stiffness", "friction", "normal_load"])
+
+
+@pytest.fixture(scope="module")
+def far_off():
+    result = fit(block(PLACES, FORCES), free="friction", fixed={"areal_stiffness": 1e9})
+    assert result.identifiability is Identifiability.POOR_FIT
+    return result
+
+
+def drawn_as(ax, label):
+    return next(line for line in ax.lines if line.get_label() == label)
+
+
+@pytest.mark.ci
+def test_a_sequence_is_drawn_as_it_was_measured_and_fitted(places):
+    ax = plot.fit_sequence(places)
+    assert (ax.get_xlabel(), ax.get_ylabel()) == LABELS
+    points = {one.get_label(): one for one in ax.containers}
+    plain, spanning = points["measured ± σ"], points["spanning ± σ"]
+    np.testing.assert_allclose(plain[0].get_xdata(), np.array(FORCES[:-1]) / 1000)
+    np.testing.assert_allclose(plain[0].get_ydata(), np.array(PLACES[:-1]) / 90)
+    np.testing.assert_allclose([*spanning[0].get_xdata(), *spanning[0].get_ydata()], [FORCES[-1] / 1000, 1.0])
+    across, along = (np.ptp(np.array(bars.get_segments()), axis=1) / 2 for bars in plain[2])
+    np.testing.assert_allclose(across[:, 0], 0.01 * np.array(FORCES[:-1]) / 1000)
+    np.testing.assert_allclose(along[:, 1], 0.005 * np.array(PLACES[:-1]) / 90)
+    thin = np.concatenate([bars.get_segments() for one in ax.containers if one[0] is None for bars in one[2]])
+    np.testing.assert_allclose(np.ptp(thin, axis=1)[:, 0] / 2, places.sigma / 1e5)  # N/m, of 1 kN on 10 mm
+    ticks = drawn_as(ax, "fitted: mean of series")
+    np.testing.assert_allclose(ticks.get_xdata(), places.fitted / 1e5)
+
+
+@pytest.mark.ci
+def test_the_staircase_is_the_series_at_the_best_fit(places):
+    q = places.parameters
+    ((rows, found),) = q.front.series(q.inputs.at(places.theta[None]))
+    np.testing.assert_array_equal(rows, range(11))
+    line = drawn_as(plot.fit_sequence(places), "best fit")
+    force, extent = line.get_data()
+    at = np.array([0.05, 0.31, 0.55, 0.7, 0.99])
+    first = np.argmax(extent[:, None] >= at, axis=0)
+    np.testing.assert_allclose(force[first], places.values["friction"] * found.force_at(at, 0 * at)[0, 0], rtol=1e-12)
+    assert (np.diff(extent) >= 0).all()
+    assert extent[[0, -1]].tolist() == [0, 1]
+
+
+@pytest.mark.ci
+def test_the_band_of_a_sequence_is_that_of_series_the_data_allow(places):
+    ax = plot.fit_sequence(places)
+    (band,) = (one for one in ax.collections if one.get_label() == "95% band of series")
+    corners = band.get_paths()[0].vertices
+    force, extent = drawn_as(ax, "best fit").get_data()
+    inside = []
+    for at in np.linspace(0.02, 0.98, 49):
+        ends = corners[np.abs(corners[:, 1] - at) < 0.003, 0]
+        inside.append(ends.min() <= force[np.argmax(extent >= at)] <= ends.max())
+    assert np.mean(inside) > 0.9
+    at_start = corners[corners[:, 1] < 0.05, 0]
+    assert 0.005 < np.ptp(at_start) < 0.03
+
+
+@pytest.mark.ci
+def test_errors_that_do_not_fit_the_range_make_no_wider_band(unloaded, places):
+    """μ and F_N are known only as a product, so that forces are known as well as with F_N."""
+    widths = []
+    for result, size in ((places, 1000), (unloaded, 1)):
+        (band,) = (one for one in plot.fit_sequence(result).collections if one.get_label() == "95% band of series")
+        corners = band.get_paths()[0].vertices
+        widths.append(size * np.ptp(corners[np.abs(corners[:, 1] - 0.35) < 0.002, 0]))
+    assert widths[1] < 2 * widths[0]
+
+
+@pytest.mark.ci
+def test_a_force_without_normal_load_has_the_unit_of_the_table(unloaded):
+    figure = plot.fit(unloaded)
+    ax = figure.axes[0]
+    assert ax.get_xlabel() == "force, $F$ (N)"
+    np.testing.assert_allclose(ax.containers[0][0].get_xdata(), FORCES[:-1])
+    np.testing.assert_allclose(drawn_as(ax, "fitted: mean of series").get_xdata(), 0.01 * unloaded.fitted)
+    assert [one.get_xlabel() for one in figure.axes[1:4]] == [
+        "areal stiffness, $k/\\lambda_c^2$ ($10^{10}$ Pa/m)", r"friction coefficient, $\mu$", "normal load, $F_N$ ($10^{5}$ N/m)"
+    ]  # fmt: skip
+
+
+@pytest.mark.ci
+def test_sequences_have_colours_and_share_residuals_of_first_lengths(numbered):
+    figure = plot.fit(numbered)
+    above, _, _, below = figure.axes
+    assert texts(above)[:2] == ["first: best fit", r"second_\$: best fit"]
+    lines = [drawn_as(above, label) for label in texts(above)[:2]]
+    np.testing.assert_allclose(*(line.get_xdata() for line in lines), rtol=1e-9)  # over their loads both are alike
+    colours = [line.get_color() for line in lines]
+    assert [one[0].get_color() for one in above.containers if one[0]] == np.repeat(colours, 2).tolist()
+    marks = [line for line in below.lines if line.get_linestyle() == "None"]
+    np.testing.assert_allclose(np.concatenate([line.get_ydata() for line in marks[0:2] + marks[3:5]]), numbered.residuals)
+    np.testing.assert_allclose(marks[0].get_xdata(), np.array(EVENTS["length_mm"][:-1]) / 90)
+    (first,) = numbered.further
+    np.testing.assert_allclose([marks[i].get_ydata()[0] for i in (2, 5)], first.residuals)
+    assert texts(below) == ["± σ", "of the first length"]
+    assert below.get_xlabel() == LABELS[1]
+
+
+@pytest.mark.ci
+def test_events_of_a_sequence_are_bars_over_what_breaks(numbered):
+    q = numbered.parameters
+    _, (rows, found) = q.front.series(q.inputs.at(numbered.theta[None]))
+    (bars,) = plot.sequence_events(numbered, "second_$").collections
+    ends = np.array(bars.get_segments())
+    n = int(np.isfinite(found.force[0]).sum())
+    assert ends.shape == (n, 2, 2)
+    begin, end, load = ends[:, 0, 0], ends[:, 1, 0], ends[:, 0, 1]
+    contact = 1 / 128  # the most of a series
+    assert (end - begin > 0.99 * contact).all()
+    assert begin[0] == 0
+    assert end[-1] == pytest.approx(1)
+    # a front stops within the contact that is the last to break
+    stopped = found.reached[0, : n - 1]
+    over = np.maximum.accumulate(end)[:-1] - stopped
+    assert over.min() > -1e-9
+    assert over.max() < 1.01 * contact
+    assert (np.diff(load) >= 0).all()
+    np.testing.assert_allclose(bars.get_array(), numbered.values["friction"] * found.force[0, :n])
+    assert plot.sequence_events(numbered).get_title("left") == "Events: best fit, first"
+    with pytest.raises(ValueError, match="'third': one of 'first', 'second_"):
+        plot.sequence_events(numbered, "third")
+
+
+@pytest.mark.ci
+def test_a_rejected_sequence_has_no_band(far_off):
+    figure = plot.fit(far_off)
+    assert texts(figure.axes[0])[0] == "closest (rejected)"
+    assert not any("band" in text for text in texts(figure.axes[0]))
+    assert figure.axes[1].get_xlabel() == r"friction coefficient, $\mu$"
+    assert plot.sequence_events(far_off).get_title("left") == "Events: closest (rejected)"
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("draw", [plot.fit_lengths, plot.length_versus_stiffness])
+def test_pictures_of_lengths_send_a_sequence_to_its_own(draw, places):
+    with pytest.raises(ValueError, match=r"forces of a sequence, not lengths: use plot\.fit or plot\.fit_sequence"):
+        draw(places)
+
+
+@pytest.mark.parametrize("draw", [plot.fit_sequence, plot.sequence_events])
+def test_pictures_of_sequences_send_lengths_to_their_own(draw):
+    m = Measurements([20.0, 40.0], 0.3, lengths_of(np.array([20.0, 40.0]), 0.01), 0.3)
+    with pytest.raises(ValueError, match=r"lengths, not forces of a sequence: use plot\.fit or plot\.fit_lengths"):
+        draw(fit(m))
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("width", [None, 85, 170])
+@pytest.mark.parametrize("name", ["places", "numbered", "unloaded", "far_off"])
+def test_nothing_of_a_picture_of_a_sequence_is_cut_or_covered(name, width, request):
+    """At the size of its own, and in columns and pages of journals, in mm."""
+    result = request.getfixturevalue(name)
+    figures = [plot.fit(result), plot.fit_profiles(result), plot.corner(result, nodes=5)] if width != 85 else []
+    figures += (
+        [draw(result).figure for draw in (plot.fit_sequence, plot.residuals, plot.sequence_events)] if width != 170 else []
+    )
+    for figure in figures:
+        if width is not None:
+            figure.set_size_inches(width / 25.4, figure.get_size_inches()[1])
+        figure.draw_without_rendering()
+        drawn, ends = figure.get_tightbbox().extents, [0, 0, *figure.get_size_inches()]
+        assert (drawn[:2] >= -0.01).all(), drawn
+        assert (drawn[2:] <= np.array(ends[2:]) + 0.01).all(), (drawn, ends)
+        for ax in figure.axes:
+            if legend := ax.get_legend():
+                assert legend.get_window_extent().y0 >= ax.get_window_extent().y1 - 1

@@ -191,8 +191,8 @@ def test_readme_links_lead_somewhere():
 EXAMPLES = sorted(path.parent.name for path in (ROOT / "fit_examples").glob("*/fit.py"))
 
 
-QUICK = ("pmma_block", "pushed_block", "threshold_profile")
-"""One of a slider, of a block and of an interface that is not uniform; every night runs the others."""
+QUICK = ("pmma_block", "pushed_block", "sequence", "threshold_profile")
+"""One of a slider, of a block, of its sequence and of an interface that is not uniform; every night runs the others."""
 
 
 @pytest.mark.ci

@@ -5,6 +5,7 @@ In the order in which they build on each other:
 `inputs`            names and domains of what a model takes
 `interpolation`     values between nodes that are computed as needed
 `family`            lengths of whole events of blocks, by families of blocks
+`sequence`          series of events by their numbers, and surfaces through them
 `fronts`            a class for each model of a length
 `observables`       what is measured beside the length
 `parameters`        what is fitted, and the linear map to the inputs

@@ -32,6 +32,10 @@ from slippulse_jax.inference.model.parameters import (
 from slippulse_jax.inference.table.columns import COLUMNS, IN_LC, NUMERIC, MeasurementError
 from slippulse_jax.inference.table.measurements import Measurements, MeasurementWarning
 
+OF_SEQUENCES = ("newborn", "time_constant", "machine_stiffness", "normal_load")
+"""Parameters that only forces by place, up to sliding, determine."""
+AGED = 0.45
+"""Part of a block below which no event tells how its contacts age."""
 LIKELY = Domain(0.02, 1.2, "")
 """Usual range of the length over the height."""
 SUSPECT = (0.01, 1.5)
@@ -78,6 +82,8 @@ def _check_meaning(m: Measurements, one: Parameter, names: Sequence[str]) -> Non
         raise ValueError(f"parameter {one.name} is given {names.count(one.name)} times")
     if one.name == "push_height" and m.push_height is None:
         raise ValueError("parameter push_height: the measurements state no push_height to start from")
+    if one.name in OF_SEQUENCES:
+        _check_of_sequences(m, one, names)
     if one.name == "arrest":
         raise ValueError("parameter arrest: it is fitted wherever gauges were read; do not name it")
     if one.name in STIFFNESSES and one.name != stiffness:
@@ -92,6 +98,21 @@ def _check_meaning(m: Measurements, one: Parameter, names: Sequence[str]) -> Non
         raise ValueError(
             "parameter model_factor: needs a prior, as (1, 0.05): the lengths alone cannot separate it from stiffness"
         )
+
+
+def _check_of_sequences(m: Measurements, one: Parameter, names: Sequence[str]) -> None:
+    """Check a parameter that only a sequence determines."""
+    if not m.is_sequence:
+        raise ValueError(f"parameter {one.name}: of sequences of a block, with a force for every length")
+    if one.name == "machine_stiffness" and m.machine_stiffness is None:
+        raise ValueError("parameter machine_stiffness: the measurements state none to start from; a guess is enough")
+    if one.name == "time_constant" and "newborn" not in names:
+        raise ValueError('parameter time_constant: contacts that age need newborn too: free = [..., "newborn"]')
+    if one.name in ("newborn", "time_constant") and one.value is None and m.block_length is not None:
+        farthest = float(np.max(m.length / m.block_length))
+        if farthest < AGED:
+            where = f"the farthest place is {farthest:.2g} L, and nothing below {AGED:g} L tells how contacts age"
+            raise ValueError(f"parameter {one.name}: {where}: hold it")
 
 
 def _check_complete(m: Measurements, chosen: Sequence[Parameter]) -> None:
@@ -111,6 +132,8 @@ def _check_complete(m: Measurements, chosen: Sequence[Parameter]) -> None:
 
 def _carries_strength(m: Measurements) -> str:
     """Name the columns that scale with σ_s; empty without any."""
+    if m.is_sequence:  # whose forces scale with the normal load
+        return ""
     names = [name for name in ("displacement", "force") if getattr(m, name) is not None and np.isfinite(m.or_zero(name)).any()]
     if names:
         return f"{m.source}, column {' and '.join(map(m.heading, names))}: what it states"
@@ -148,7 +171,7 @@ def _check_reached(m: Measurements, q: ParameterSet) -> None:
     name = stiffness_name(m)
     one = next(one for one in q.wanted if one.name in ("stiffness", name))
     key = next((key for key in ("bounds", "prior", "value") if getattr(one, key) is not None), None)
-    if key is None or m.length.min() <= 1:
+    if key is None or m.length.min() <= 1 or q.front.event == "sequence":
         return
     reach = {each: _reach(q, q.inputs.get(each)) for each in q.inputs.names}
     easiest = {each: ends[each not in ("threshold_slope", "friction", "log_machine")] for each, ends in reach.items()}
@@ -202,7 +225,7 @@ def _exchanged(m: Measurements, wanted: Sequence[Parameter]) -> Iterator[str]:
     prestressed = any(one.name == "prestress" for one in wanted) or m.or_zero("prestress").any()
     lengthened = prestressed or m.machine_stiffness is not None or m.block_length is not None
     over = float(np.median(m.length / m.height))
-    if SUSPECT[0] <= over <= SUSPECT[1] * (5 if lengthened else 1):
+    if m.is_sequence or SUSPECT[0] <= over <= SUSPECT[1] * (5 if lengthened else 1):
         return
     height, length = m.heading("height"), m.heading("length")
     may_be = [f"are {height} and {length} exchanged"] * bool(LIKELY.holds(1 / over))
@@ -258,6 +281,8 @@ def check_used(m: Measurements, what: str) -> None:
     A warning names other columns that are not used: errors of inputs, errors that measured lengths share, and gauges would have
     changed the errors of the result.
     """
+    if m.is_sequence:
+        raise MeasurementError(f"{m.source}: {what} takes first precursors, and not the forces of a sequence: leave out force")
     for name in ("block_length", "machine_stiffness"):
         if getattr(m, name) is not None and np.isfinite(getattr(m, name)).any():
             raise MeasurementError(f"{m.source}, column {name}: {what} takes blocks without end, whose edge is held")

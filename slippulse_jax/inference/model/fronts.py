@@ -6,7 +6,7 @@ kernel may compute. A new model is a new class: one here, which `front_of` choos
 """
 
 import functools
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
@@ -32,6 +32,8 @@ from slippulse_jax.inference.choices import Body, MeasuredEvent
 from slippulse_jax.inference.model.family import FLAGS, SEARCHED, Families, geometry_of
 from slippulse_jax.inference.model.inputs import COMMON, Input, Inputs
 from slippulse_jax.inference.model.interpolation import Grid
+from slippulse_jax.inference.model.sequence import CONTACTS, GEOMETRY, SITES, Cloud, Followed, Surface, followed
+from slippulse_jax.inference.table.columns import NUMERIC
 from slippulse_jax.inference.table.measurements import Measurements
 from slippulse_jax.interface import Interface
 from slippulse_jax.lengths import arrests, length_rank
@@ -219,6 +221,10 @@ class Front:
     def stiffest(self, m: Measurements) -> np.ndarray:
         """Largest k/K of each measurement searched by default."""
         return np.full(len(m), STIFFEST)
+
+    def ranges(self, m: Measurements) -> dict[str, tuple[float, float]]:
+        """Ranges of other parameters searched by default, where it has its own."""
+        return {}
 
     def fields(self, inputs: Inputs, stopped: Array, count: int) -> tuple[Array, Array]:
         """Slip and stress of the first contacts when `stopped` have broken.
@@ -623,8 +629,211 @@ class BlockEvent(Front):
         return found._replace(slow_decay_length=decay)
 
 
+ROUGHNESS = 0.01
+"""Error of a force of a sequence, in μF_N: how far forces by place jump with the order of breaks."""
+
+
+class BlockSequence(BlockEvent):
+    """Sequences of a block: force at which its front first reaches places.
+
+    Forces are over the normal load.
+    Of one more datum per sequence whose events are numbered, the logarithm of the first length over that of the block.
+    """
+
+    event = "sequence"
+    inputs = {
+        **BlockEvent.inputs,
+        "log_machine": FirstFront.inputs["log_machine"],
+        "newborn": Input("ν", 0.0, 1.0, "must lie in (0, 1]", 1e-4, (0.01, 1.0)),
+        "log_time": Input("τ/u_s", -np.inf, np.inf, ""),
+        "datum": Input("", 0.0, np.inf, ""),
+    }
+    most_off = 0.0  # `search.clouds` adds errors
+    name = "sequence of precursors"
+    body_modelled = "block with a free end under two-dimensional elasticity, pushed at a height"
+    length_modelled = "force at which the front first reaches a place"
+    refused: ClassVar[dict[str, str]] = {
+        "displacement": "from forces and lengths alone: leave it out",
+        "gauges": "from forces and lengths alone: leave it out",
+    }
+    thresholds: str = "thresholds that follow the pressure"
+    model_error: float = ROUGHNESS  # of a force, in μF_N; of the one at which the front spans twice as much
+
+    def __init__(self, m: Measurements, **_: bool) -> None:
+        none = np.zeros(len(m), int)
+        keys = list(zip(m.sequence or none, m.specimen or none, strict=True))
+        self.group = np.array([list(dict.fromkeys(keys)).index(key) for key in keys])
+        self.clouds = [Cloud() for _ in range(self.group.max() + 1)]
+        self.surfaces: list[list[Surface]] = [[] for _ in self.clouds]
+        ends = np.full(len(m), np.nan) if m.block_length is None else m.block_length
+        spans = np.array(m.kind) == "at_least"
+        self.place = np.where(spans, np.nextafter(1.0, 0), m.length / ends)
+        contact = 1 / np.minimum(ends, SITES)
+        self.error = np.where(spans, 0.0, np.hypot(np.nan_to_num(m.sigma), ends * contact / 2) / ends)
+        self.uncertain = np.where(spans, 2.0, 1.0)  # in `model_error`
+        self.advance = 1.5 * contact
+        self.numbered = m.event is not None
+        first = none == 1 if m.event is None else np.array([i == self._first(m, i) for i in range(len(m))])
+        self.first = np.flatnonzero(first)
+
+    def _first(self, m: Measurements, i: int) -> int:
+        """The first event of the sequence of a row."""
+        assert m.event is not None
+        own = np.flatnonzero(self.group == self.group[i])
+        return int(own[np.argmin(m.event[own])])
+
+    def check(self, m: Measurements, names: Collection[str]) -> None:
+        """Ask for a push, an end, a friction and a normal load."""
+        if m.block_length is None or np.isnan(m.block_length).any():
+            raise ValueError(f"{m.source}: a sequence ends as the front spans the block: give block_length (block_length_mm)")
+        if m.friction is None and "friction" not in names:
+            raise ValueError('parameter friction: neither stated nor fitted nor held: free = ["stiffness", "friction"]')
+        if shared := {"model_factor", "offset"} & {*names}:
+            raise ValueError(
+                f"parameter {min(shared)}: of lengths; what a model of a sequence leaves out is an error of forces"
+            )
+        if m.normal_load is None and "normal_load" not in names:
+            raise ValueError("parameter normal_load: neither stated nor fitted nor held: forces scale with it")
+        if "force" in m.push_control:
+            raise ValueError(f"{m.source}: push_control = 'force': the pusher of a sequence is displaced")
+        if "multicontact" in m.contact_law:
+            raise ValueError(f"{m.source}: contact_law = 'multicontact': series of such contacts take too long for a sequence")
+        self._check_alike(m)
+        for name, row in (("force", m.force), ("normal_load", m.normal_load)):
+            if row is not None and np.isnan(row).any():
+                raise ValueError(f"{m.place(int(np.argmax(np.isnan(row))))}, column {m.heading(name)}: missing")
+        super().check(m, {*names} - {"friction"})
+
+    def _check_alike(self, m: Measurements) -> None:
+        """Refuse a sequence of several blocks."""
+        one_of = set(NUMERIC) - {"length", "length_sigma", "force", "force_sigma", "event"}
+        for name in (name for name in NUMERIC if name in one_of and getattr(m, name) is not None):
+            x = np.nan_to_num(getattr(m, name), nan=-1.0)
+            first = x[[int(np.argmax(self.group == group)) for group in self.group]]
+            if (x != first).any():
+                i = int(np.argmax(x != first))
+                raise ValueError(
+                    f"{m.place(i)}, column {m.heading(name)}: another one than in the first row of its sequence, which is of "
+                    "one block: tell sequences apart in a column sequence"
+                )
+
+    def ranges(self, m: Measurements) -> dict[str, tuple[float, float]]:
+        """Friction and normal load that the largest force allows.
+
+        It is 0.3 to 1 of μF_N, with μ from 0.05 to 1.2.
+        """
+        assert m.force is not None
+        most = float(np.max(m.force))
+        if m.normal_load is None:
+            return {"friction": (0.05, 1.2), "normal_load": (most / 1.2, most / 0.015)}
+        share = float(np.max(m.force / m.normal_load))
+        return {"friction": (share, share / 0.3)}
+
+    def stated(self, m: Measurements) -> dict[str, np.ndarray]:
+        """Block and push as of one event, and machine, ageing and datum."""
+        none = np.zeros(len(m))
+        usual = np.full(len(m), np.log(USUAL_NORMAL_STIFFNESS))
+        normal = usual if m.normal_stiffness is None else np.log(np.minimum(m.normal_stiffness, RIGID))
+        return super().stated(m) | {
+            "log_normal_stiffness": normal,
+            "log_machine": FirstFront().stated(m).get("log_machine", none + np.inf),
+            "newborn": none + 1,
+            "log_time": none,
+            "datum": np.arange(len(m), dtype=float),
+        }
+
+    def _numbers(self, inputs: Inputs) -> Float[np.ndarray, "L 11"]:
+        """What a series depends on."""
+        given = {
+            "log_ratio": inputs.get("log_sites") - inputs.log_height, "log_b": inputs.log_b, "poisson": inputs.poisson,
+            "prestress": inputs.prestress,
+        }  # fmt: skip
+        return np.stack([given[name] if name in given else inputs.get(name) for name in (*GEOMETRY, *CONTACTS)], axis=-1)
+
+    def series(self, inputs: Inputs) -> Iterator[tuple[np.ndarray, Followed]]:
+        """Follow the series of every sequence at inputs, (t, n)."""
+        every = self._numbers(inputs)
+        for group in range(len(self.clouds)):
+            rows = np.flatnonzero(self.group == group)
+            numbers = every[:, rows[0]]
+            top = "held" if inputs.get("top_held").flat[rows[0]] else "free"
+            height = float(np.exp(inputs.log_height).flat[rows[0]])
+            yield rows, followed(numbers[:, : len(GEOMETRY)], numbers[:, len(GEOMETRY) :], height, top=top)
+
+    def follow(self, inputs: Inputs) -> None:
+        """Add series of every sequence at inputs of shape (t, n)."""
+        every = self._numbers(inputs)
+        for cloud, (rows, series) in zip(self.clouds, self.series(inputs), strict=True):
+            numbers = every[:, rows[0]]
+            friction = numbers[:, [len(GEOMETRY) + CONTACTS.index("friction")]]
+            force, spread = series.force_at(self.place[rows], self.error[rows])
+            length, begins = series.first(float(self.advance[rows[0]]))
+            if self.numbered:
+                arrested = self.error[rows] > 0
+                found = series.force_of_arrest(self.place[rows[arrested]], self.error[rows[arrested]])
+                force[:, arrested], spread[:, arrested] = found
+                own = np.isin(rows, self.first)
+                force[:, own], spread[:, own] = begins[:, None], 0.0
+            cloud.add(numbers, np.column_stack([friction * force, friction * spread, np.log(length)]))
+
+    def fitted(self, weights: Sequence[Float[np.ndarray, " t"]]) -> None:
+        """Read surfaces from here on, one for each weighting of the series.
+
+        Without any, the nearest series.
+        """
+        self.surfaces = [[Surface(cloud, weight) for weight in weights] for cloud in self.clouds]
+
+    def _read(self, inputs: Inputs, uncertain: bool) -> np.ndarray:
+        numbers, datum = self._numbers(inputs), np.asarray(inputs.get("datum")).astype(int)
+        n = len(self.group)
+        found = np.zeros(len(numbers))
+        for group, (cloud, surfaces) in enumerate(zip(self.clouds, self.surfaces, strict=True)):
+            here = np.flatnonzero(self.group[datum % n] == group)
+            if not here.size:
+                continue
+            distinct, own = distinct_rows(numbers[here])
+            rows = np.flatnonzero(self.group == group)
+            column = np.searchsorted(rows, datum[here] % n) + uncertain * len(rows)
+            column = np.where(datum[here] >= n, 2 * len(rows), column)
+            if not surfaces:
+                found[here] = cloud.nearest(distinct)[own, column]
+                continue
+            values, apart = (np.stack(x) for x in zip(*(surface(distinct) for surface in surfaces), strict=True))
+            which = apart.argmin(axis=0)
+            values[:, apart.min(axis=0) > 1] = np.nan
+            found[here] = values[which[own], own, column]
+            if uncertain:
+                scatter = np.stack([surface.scatter for surface in surfaces])
+                found[here] = np.hypot(found[here], scatter[which[own], column - len(rows)])
+        return np.where(np.isnan(found), np.inf, found)
+
+    def values(self, inputs: Inputs) -> np.ndarray:
+        """Forces over the normal load.
+
+        Of the data beyond, ln of the first length over that of the block.
+        """
+        return self._read(inputs, uncertain=False)
+
+    def uncertainty(self, inputs: Inputs) -> np.ndarray | None:
+        """Errors of forces over the normal load: of model and place."""
+        own = self.uncertain[np.asarray(inputs.get("datum")).astype(int)]
+        return np.hypot(self._read(inputs, uncertain=True), self.model_error * own * inputs.get("friction"))
+
+    def softest(self, m: Measurements) -> np.ndarray:
+        """k/K at the least b searched."""
+        return 0.02 / (2 * (1 + m.poisson) * m.height)
+
+    def stiffest(self, m: Measurements) -> np.ndarray:
+        """Largest k/K searched by default."""
+        return 50.0 / (2 * (1 + m.poisson) * m.height)
+
+    def longest(self, inputs: Inputs, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """No force bounds a sequence from above."""
+        return np.full(len(low), np.inf), high
+
+
 FRONTS: dict[tuple[Body, MeasuredEvent], type[Front]] = {
-    (front.body, front.event): front for front in (FirstFront, WholeEvent, CrackFront, BlockEvent)
+    (front.body, front.event): front for front in (FirstFront, WholeEvent, CrackFront, BlockEvent, BlockSequence)
 }
 """Models by body and event."""
 _shared = functools.cache(lambda model: model())
@@ -654,8 +863,8 @@ def front_of(m: Measurements, event: MeasuredEvent | Front | None = None, body: 
         check_choice("body", body, Body)
     else:
         said = m.push_height is not None and not np.isnan(m.push_height).any()
-        body = "block" if said and event in (None, "full") else "slider"
-    event = event or ("full" if body == "block" else "domino")
+        body = "block" if said and event in (None, "full", "sequence") else "slider"
+    event = event or ("sequence" if body == "block" and m.is_sequence else "full" if body == "block" else "domino")
     if (body, event) not in FRONTS:
         raise ValueError(
             f"event = {event!r}: contacts of a block break in any order, so its length is that of the whole event: 'full'"

@@ -71,7 +71,7 @@ OBSERVED = {"displacement": displacement, "force": force, "slip": partial(readin
 
 def predicted(observable: str, front: Front, inputs: Inputs, along: Along = None) -> Predicted:
     """Predictions of many lanes, and their derivatives along a line."""
-    if observable == "length":
+    if observable in ("length", "first"):
         return front.evaluate(inputs, along)
     if observable in ("displacement", "force"):
         return by_jax(OBSERVED[observable], front, inputs, along)

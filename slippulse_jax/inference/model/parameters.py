@@ -18,9 +18,9 @@ from slippulse_jax.inference.model.inputs import COMMON, Inputs
 from slippulse_jax.inference.table.measurements import Measurements
 from slippulse_jax.keywords import did_you_mean
 
-SCALES = ("length", "displacement", "force", "slip", "stress", "position", "offset", "beyond")
-"""ln(unit of measurement per unit of the model) of each observable; what is added to a length, in λc; and the contacts broken
-beyond ℓ when gauges were read."""
+SCALES = ("length", "reach", "first", "displacement", "force", "slip", "stress", "position", "offset", "beyond")
+"""ln(unit of measurement per unit of the model) of each observable, `reach` that of forces by place; what is added to a length,
+in λc; and the contacts broken beyond ℓ when gauges were read."""
 PRIOR_REACH = 6.0
 """Standard deviations of a prior searched on either side where no bounds are given."""
 
@@ -239,6 +239,10 @@ PARAMETERS: dict[str, ParameterKind] = {
     "prestress": ParameterKind("φ", ("σ_s", "σ_s"), False, {"prestress": 1}, (-0.95, 0.95), 1.0, (-0.99, 0.99)),
     "threshold_slope": ParameterKind("ε", ("1/λc", "1/λc"), False, {"threshold_slope": 1}, None, 1.0),
     "friction": ParameterKind("", ("", ""), False, {"friction": 1}, (0.0, 0.95), 1.0, limits=(0.0, np.inf)),
+    "newborn": ParameterKind("ν", ("", ""), False, {"newborn": 1}, (0.05, 1.0), limits=(0.01, 1.0)),
+    "time_constant": ParameterKind("τ", ("u_s", "u_s"), True, {"log_time": 1}, (0.02, 50.0)),
+    "machine_stiffness": ParameterKind("M", ("E", "Pa"), True, {"log_machine": 1}, factor=10.0),
+    "normal_load": ParameterKind("F_N", ("", "N/m"), True, {"reach": 1}, factor=10.0),
     "strength": ParameterKind("σ_s", ("", "Pa"), True, {"displacement": 1, "force": 1, "slip": 1, "stress": 1}, (1.0, 1e12)),
     "offset": ParameterKind("offset", ("λc", "m"), False, {"offset": 1}),
     "model_factor": ParameterKind("model factor", ("", ""), True, {"length": 1}),
@@ -273,6 +277,8 @@ def parameter_set(
     every = np.log(m.height), log_lc - log_young, m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope")
     inputs = dict(zip(COMMON, every, strict=True)) | front.stated(m)
     base = inputs | {name: log_lc if name == "force" else np.zeros(len(m)) for name in SCALES}
+    if m.normal_load is not None:
+        base["reach"] = np.log(m.normal_load)
     free: list[Free] = []
     slopes: list[dict[str, np.ndarray]] = []
     held: dict[str, float] = {}
@@ -305,7 +311,7 @@ def with_errors_of_measuring(m: Measurements, wanted: Sequence[Parameter], *, si
     1 ± `MODEL_ERROR` and, where the size of σ is known, an offset of 0 ± their median.
     """
     of_lengths = np.array([kind == "length" for kind in m.kind])
-    if "measured" not in m.provenance or not of_lengths.any():
+    if "measured" not in m.provenance or not of_lengths.any() or m.is_sequence:
         return list(wanted)
     priors = {"model_factor": (1.0, MODEL_ERROR)}
     if size_known and m.length_sigma is not None:
@@ -414,7 +420,7 @@ def default_bounds(
         return (float(lowest.max()), float(highest.min())) if all_of else (float(lowest.min()), float(highest.max()))
     size = float(m.metres[rows].max())
     own = {"offset": (-longest * size, longest * size), "threshold_slope": (-0.5 / longest, 2 / longest)}.get(name)
-    if bounds := PARAMETERS[name].bounds or own:
+    if bounds := front.ranges(m).get(name) or PARAMETERS[name].bounds or own:
         return bounds
     if name == "push_height" and m.push_height is not None:
         ratio = m.push_height[rows] / m.height[rows]

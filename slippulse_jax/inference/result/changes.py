@@ -14,11 +14,11 @@ import numpy as np
 from scipy.special import chdtrc
 
 from slippulse_jax.block import USUAL_NORMAL_STIFFNESS
-from slippulse_jax.inference.model.fronts import BlockEvent, Front, front_for, front_of
+from slippulse_jax.inference.model.fronts import BlockEvent, BlockSequence, Front, front_for, front_of
 from slippulse_jax.inference.model.parameters import HEIGHTS, MODEL_ERROR, STIFFNESSES, Parameter, ParameterSet, parameter_set
 from slippulse_jax.inference.result.verdict import SCATTERED, Identifiability
 from slippulse_jax.inference.search.intervals import LEVELS, Interval
-from slippulse_jax.inference.search.likelihood import IMPROBABLE, make_problem
+from slippulse_jax.inference.search.likelihood import IMPROBABLE, Problem, make_problem
 from slippulse_jax.inference.search.minima import DevianceGrid, between_contacts, ordered, search
 from slippulse_jax.inference.search.minimise import minimise
 from slippulse_jax.inference.table.columns import COLUMNS, IN_LC
@@ -41,6 +41,8 @@ NARROW, NARROW_PUSHER = 0.1, "0.1 H high"
 """Height over H of a pusher that may cover less than all of the side above, where the table does not say; and in words."""
 PRESSED, NORMAL = (0.3, 0.6), (1.0, 1.4)
 """Friction coefficients tried where a table of a block states none, and k_n/k where one with friction states none."""
+SERIES = 24
+"""Series near a fit of sequences, over which what a change does to them is averaged."""
 MOST_STEPS = 25
 """Steps of every start of another fit."""
 MOST_CONTACTS = 5e4
@@ -77,8 +79,57 @@ def find_changes(result: "FitResult") -> list[Change]:
     """List what would move the parameters, largest first."""
     if not result.moved:
         return []
-    every = [*_of_inputs(result), *_of_ends(result), *_of_bodies(result)]
+    if result.measurements.is_sequence:
+        every = [*_of_sequence(result)]
+    else:
+        every = [*_of_inputs(result), *_of_ends(result), *_of_bodies(result)]
     return sorted((one for one in every if one.moves), key=lambda one: -_size(one, result))
+
+
+def _of_sequence(result: "FitResult") -> Iterator[Change]:
+    """Usual errors of the inputs of sequences, and other normal springs.
+
+    To first order. What a change does to the data is the mean over series near the fit, each followed with it and without:
+    one alone would differ by the order of its breaks.
+    """
+    m, q = result.measurements, result.parameters
+    beside = {one.name for one in q.free}
+    for name in ("height", "young", "poisson", "push_height"):
+        if name not in beside and _taken_as_exact(m, name):
+            what, error, *_ = COLUMNS[name].usual
+            moves = _shifted(result, [_moved(m, name, error)])
+            yield Change(name, what, moves, {one: -by[0] for one, by in moves.items()})
+    if m.normal_stiffness is None:
+        what = "k_n/k of {:g} or {:g}, for {:g} (column normal_stiffness states it)".format(*NORMAL, USUAL_NORMAL_STIFFNESS)
+        sprung = [dataclasses.replace(m, normal_stiffness=np.full(len(m), ratio)) for ratio in NORMAL]
+        yield Change("normal_stiffness", what, _shifted(result, sprung))
+
+
+def _shifted(result: "FitResult", every: Sequence[Measurements]) -> dict[str, tuple[float, ...]]:
+    """Moves of the parameters by other measurements, to first order."""
+    problem, q, m = result.problem, result.parameters, result.measurements
+    jacobian = problem.jacobian(result.theta)
+    covariance = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-9, hermitian=True)
+    gain = covariance @ jacobian.T
+    near = np.random.default_rng(0).multivariate_normal(result.theta, covariance, SERIES, method="eigh")
+    near = np.clip(near, q.low, q.high)
+    known = _data_of_series(problem, m, near)
+    moves: dict[str, tuple[float, ...]] = dict.fromkeys(result.moved, ())
+    for other in every:
+        off = np.nanmean(_data_of_series(problem, other, near) - known, axis=0)
+        sigma = np.concatenate([data.sigma for data in problem.observed])
+        by = -gain @ np.concatenate([np.nan_to_num(off) / sigma, np.zeros(len(jacobian) - len(off))])
+        for one in moves:
+            moves[one] += (float(by[q.index(one)]),)
+    return moves
+
+
+def _data_of_series(problem: Problem, m: Measurements, theta: np.ndarray) -> np.ndarray:
+    """What single series at θ give for the data of these measurements."""
+    q = parameter_set(m, problem.parameters.wanted, BlockSequence(m))
+    assert isinstance(q.front, BlockSequence)
+    q.front.follow(q.inputs.at(theta))
+    return make_problem(m, q, problem.loss, m.stated_sigma).predictions(theta)
 
 
 def _size(change: Change, result: "FitResult") -> float:

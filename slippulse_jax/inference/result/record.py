@@ -20,6 +20,7 @@ from slippulse_jax.inference.model.check import checked, suspicions
 from slippulse_jax.inference.model.fronts import Front
 from slippulse_jax.inference.model.parameters import Parameter, with_errors_of_measuring
 from slippulse_jax.inference.result.changes import Change
+from slippulse_jax.inference.search.clouds import gathered
 from slippulse_jax.inference.search.likelihood import make_problem
 from slippulse_jax.inference.table.columns import GAUGE_COLUMNS, NUMERIC
 from slippulse_jax.inference.table.measurements import Gauges, Measurements
@@ -166,6 +167,8 @@ def of_dict(kind: type[Record], content: dict[str, Any]) -> tuple[Record, dict[s
     wanted = with_errors_of_measuring(m, request["free"], size_known=size_known)
     q = checked(m, wanted, request["event"], request["body"])
     problem = make_problem(m, q, request["loss"], m.stated_sigma)
+    if m.is_sequence:  # surfaces as they were
+        problem = dataclasses.replace(gathered(problem, request["seed"]), parameters=q)
     if content.get("between_contacts") is not None:
         problem = problem.widened(np.array(content["between_contacts"], dtype=float))
     if content.get("scatter") is not None:

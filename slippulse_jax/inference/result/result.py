@@ -224,8 +224,11 @@ class FitResult:
     def contacts_broken(self) -> np.ndarray:
         """Whole contacts that each front breaks.
 
-        Without model factor and offset, which belong to the measurement. −1 where it never stops; shape (n,).
+        Of sequences those up to the place measured; of others without model factor and offset, which belong to the
+        measurement. −1 where it never stops; shape (n,).
         """
+        if self.measurements.is_sequence:
+            return np.ceil(self.measurements.length).astype(int)
         front = self.parameters.front.lengths(self.parameters.inputs.at(self.theta))
         stops = np.isfinite(front)
         return np.where(stops, np.maximum(np.ceil(np.where(stops, front, 0)), 1), -1).astype(int)
@@ -284,9 +287,8 @@ class FitResult:
 
         For counts and fronts without arrest what lies outside, else 0.
         """
-        m = self.measurements
-        off = self.fitted - m.length
-        kind = np.array(m.kind)
+        data = self.problem.lengths
+        off, kind = self.fitted - data.value[0], data.kind
         off = np.where(kind == "whole", np.where(off > 0, off, np.minimum(off + 1, 0)), off)
         off = np.where(kind == "at_least", np.minimum(off, 0), off)
         return off / np.where(self.sigma > 0, self.sigma, 1)

@@ -242,7 +242,7 @@ def to_be_simulated(problem: Problem, wanted: IntervalsBy, found: Found, pieces:
     minima, deviance = found.minima, found.deviance
     if wanted == "calibrated":
         return True
-    if wanted == "profile" or not can_be_calibrated(problem) or not minima:
+    if wanted == "profile" or not can_be_calibrated(problem) or not minima or problem.measurements.is_sequence:
         return False
     if any(one.deviance < deviance - SLIGHT for one in minima):  # simulated fits would prefer what stands last here
         return False

@@ -25,6 +25,7 @@ from scipy.special import chdtrc, digamma, erf
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.inference.choices import Loss
+from slippulse_jax.inference.model.fronts import ROUGHNESS, BlockSequence
 from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.model.observables import OBSERVED, predicted
 from slippulse_jax.inference.model.parameters import Linear, ParameterSet
@@ -240,8 +241,9 @@ class Problem:
         since a datum of probability below P occurs with a probability of at most P (2 P for counts, which are off either way),
         so that −2 ln P is at most χ² of two degrees.
         """
-        if self.loss != "normal":
-            return None
+        front = self.parameters.front
+        if self.loss != "normal" or (isinstance(front, BlockSequence) and front.model_error > ROUGHNESS):
+            return None  # or the size of the errors was taken from the data
         data, lane = self.lengths, np.zeros(1, int)  # counts and fronts without arrest are lengths
         cost = costs(self.predict(theta), data, lane, self.loss)[0, 0]
         binding = (data.kind != "length") & (cost - self._least > 1e-6)  # which the model does not meet
@@ -490,7 +492,7 @@ def _traced(theta: Array, problem: Problem, data: Observations) -> Array:
 
     def predict(theta: Array) -> Array:
         inputs = data.inputs.at(theta)
-        if data.observable == "length":
+        if data.observable in ("length", "first"):
             found = front.in_rows(inputs, relaxed, data.inputs.log_height(ends).max(axis=0))
         else:
             found = jax.vmap(partial(OBSERVED[data.observable], front, relaxed=relaxed, **options))(inputs)
@@ -515,8 +517,11 @@ def _sites(problem: Problem, data: Observations) -> int:
 def make_problem(m: Measurements, parameters: ParameterSet, loss: Loss, sigma: np.ndarray) -> Problem:
     """Set up the density of measurements; `sigma` of lengths, in λc."""
     every = np.arange(len(m))
-    observed = [_observations(parameters, "length", every, m.length, sigma, parameters.inputs, np.array(m.kind))]
-    for observable in ("displacement", "force"):
+    if isinstance(parameters.front, BlockSequence):
+        observed = _of_sequences(m, parameters, parameters.front)
+    else:
+        observed = [_observations(parameters, "length", every, m.length, sigma, parameters.inputs, np.array(m.kind))]
+    for observable in () if m.is_sequence else ("displacement", "force"):
         values = getattr(m, observable)
         if values is None or not np.isfinite(values).any():
             continue
@@ -563,6 +568,24 @@ def _observations(
         scale=q.scales[observable][rows],
         offset=q.scales["offset"] if observable == "length" else none,
     )
+
+
+def _of_sequences(m: Measurements, q: ParameterSet, front: BlockSequence) -> list[Observations]:
+    """Collect forces by place, and first lengths of numbered events.
+
+    The forces stand where lengths do in other fits.
+    """
+    assert m.force is not None
+    assert m.force_sigma is not None
+    assert m.block_length is not None
+    inputs, first, n, sigma = q.inputs, front.first, len(m), m.force_sigma
+    forces = _observations(q, "length", np.arange(n), m.force, sigma, inputs)
+    found = [forces._replace(scale=q.scales["reach"], offset=Linear(np.zeros(n), np.zeros((n, len(q.free)))))]
+    if len(first) and m.length_sigma is not None:
+        own = inputs.take(first).given(datum=Linear(n + first.astype(float), np.zeros((len(first), len(q.free)))))
+        value, error = np.log(m.length[first] / m.block_length[first]), m.length_sigma[first] / m.length[first]
+        found.append(_observations(q, "first", first, value, error, own))
+    return found
 
 
 def _readings(m: Measurements, gauges: Gauges, q: ParameterSet, name: str) -> Observations:

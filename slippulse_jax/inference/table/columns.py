@@ -27,13 +27,14 @@ from slippulse_jax.domains import (
     Domain,
 )
 from slippulse_jax.files import shortened
-from slippulse_jax.inference.choices import Body
+from slippulse_jax.inference.choices import Template
 
-SI = {"N_per_mm": 1e3, "N_per_m": 1.0, "mm": 1e-3, "um": 1e-6, "MPa": 1e6, "GPa": 1e9}
+SI = {"N": 1.0, "N_per_mm": 1e3, "N_per_m": 1.0, "mm": 1e-3, "um": 1e-6, "MPa": 1e6, "GPa": 1e9}
 """Units in which names of columns and options end, in SI."""
 UNITS_OF_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
 UNITS_OF_MODULUS = {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9}
-"""Units in which columns of a table of measurements may end, in SI."""
+UNITS_OF_FORCE = {"N": 1.0, "N_per_mm": 1e3}
+"""Units in which columns of a table of measurements may end, in SI; a force in N is divided by the width of the block."""
 PROVENANCES = ("measured", "printed", "digitised", "synthetic")
 NUMBER = re.compile(r"[+-]?(?:(?:\d+(?:\.\d*)?|\.\d+)(?:e[+-]?\d+)?|inf(?:inity)?)", re.IGNORECASE | re.ASCII)
 """A number as text: `float` would take 14_03 for 1403."""
@@ -78,7 +79,7 @@ class Column(NamedTuple):
         """Names in a form, the usual one first, and their units."""
         if not in_si or not self.unit:
             return {self.quantity: 1.0} if in_si or self.plain is not None else {}
-        others = next((units for units in (UNITS_OF_LENGTH, UNITS_OF_MODULUS) if self.unit in units), {})
+        others = next((units for units in (UNITS_OF_LENGTH, UNITS_OF_MODULUS, UNITS_OF_FORCE) if self.unit in units), {})
         return {f"{self.quantity}_{unit}": {**SI, **others}[unit] for unit in (self.unit, *others)}
 
     def name(self, in_si: bool) -> str:
@@ -124,6 +125,7 @@ MACHINE = _positive("the stiffness of a machine must be positive")
 WIDTH = _positive("the width of a block must be positive")
 DISPLACEMENT = _positive("a displacement at nucleation must be positive")
 FORCE = _positive("a driving force must be positive")
+EVENT = Domain(1 - 1e-9, np.inf, "events are numbered from 1")
 POSITION = Domain(-1e-300, np.inf, "a position must be finite and not negative")
 
 _ROWS = (
@@ -162,8 +164,8 @@ _ROWS = (
     Column("machine_stiffness", "N_per_m", "E", MACHINE, "Stiffness of the machine, from its own frame to the edge; as an "
            "array, over the width of the block. Blank for an edge that is held while the front runs",
            may_be_blank=True, needs="young"),
-    Column("block_width", "mm", None, WIDTH, "Width of the block, by which the stiffness of the machine is divided",
-           may_be_blank=True),
+    Column("block_width", "mm", None, WIDTH, "Width of the block, by which the stiffness of the machine, and forces in N, are "
+           "divided", may_be_blank=True),
     Column("height_sigma", "mm", "λc", ERROR),
     Column("poisson_sigma", "", "", ERROR),
     Column("correlation_length_sigma", "um", None, ERROR),
@@ -173,11 +175,19 @@ _ROWS = (
     Column("displacement", "um", None, DISPLACEMENT, "Displacement of the pushed edge at nucleation", may_be_blank=True,
            needs="displacement_sigma young"),
     Column("displacement_sigma", "um", None, ERROR_OF_READING, may_be_blank=True),
-    Column("force", "N_per_mm", None, FORCE, "Driving force at nucleation, per width of the block", may_be_blank=True,
-           needs="force_sigma young"),
+    Column("force", "N_per_mm", None, FORCE, "Driving force at nucleation, per width of the block; of a block that is pushed "
+           "at a height that of any event, as a sequence (docs/fit/sequence.md)", may_be_blank=True, needs="force_sigma young"),
     Column("force_sigma", "N_per_mm", None, ERROR_OF_READING, may_be_blank=True),
+    Column("normal_load", "N", None, FORCE, "Force that presses the block on the track; per width as an array",
+           needs="force push_height"),
+    Column("event", "", "", EVENT, "Number of the event in its sequence, the first 1; without it `length` is a place, and "
+           "`force` that at which the front first reached it", needs="force"),
     Column("kind", says="How the length was measured; `whole` counts contacts, so that the length lies within one below; past "
            "a length `at_least` the front ran without arrest", choices=("length", "whole", "at_least")),
+    Column("spans", says="Whether the event broke the last contact; its length, which may be blank, is then that of the block",
+           choices=("no", "yes"), needs="block_length"),
+    Column("sequence", says="Any name of the run that an event belongs to, where a table has several", choices=(),
+           needs="force"),
     Column("push_control", says="What is held while an event runs", choices=get_args(Control), needs="push_height"),
     Column("contact_law", says="What follows the pressure: thresholds, or thresholds and stiffnesses",
            choices=get_args(ContactLaw), needs="friction"),
@@ -203,7 +213,7 @@ OF_GAUGES = {column.quantity: column for column in _ROWS_OF_GAUGES}
 _EVERY = {**OF_GAUGES, **COLUMNS}
 TEXTS = tuple(name for name, column in COLUMNS.items() if column.choices is not None)
 """Columns of text."""
-NUMERIC = tuple(name for name in COLUMNS if name not in (*TEXTS, "block_width"))
+NUMERIC = tuple(name for name in COLUMNS if name not in TEXTS)
 """Columns of numbers that `Measurements` holds."""
 IN_LC = tuple(name for name, column in COLUMNS.items() if column.plain == "λc")
 """Columns held in λc."""
@@ -241,18 +251,30 @@ _IN_SI = {**_NAMES_OF_GAUGES, **NAMES[True]}
 KNOWN = {*_IN_SI, *_EVERY}
 """All names, also those of readings of gauges and those that stand without the unit that they need."""
 
-_EXAMPLE = {"specimen": "A", "height": "25", "correlation_length": "100", "poisson": "0.3", "young": "3", "length": "14.03"}
-_EXAMPLE |= {"length_sigma": "0.5", "kind": "length", "provenance": "measured"}
-_OF_BLOCKS = {"block_length": "75", "push_height": "5", "push_width": "2", "friction": "0.3"}
+_LENGTHS = {"specimen": "A", "height": "25", "correlation_length": "100", "poisson": "0.3", "young": "3", "length": "14.03"}
+_LENGTHS |= {"length_sigma": "0.5", "kind": "length", "provenance": "measured"}
+_EVENTS = {"height": "30", "block_length": "90", "block_width": "10", "correlation_length": "625", "poisson": "0.3"}
+_EVENTS |= {"young": "3", "push_height": "4.5", "push_width": "3", "normal_load": "1000", "sequence": "A", "event": "1 2 3"}
+_EVENTS |= {"force_N": "160.4 201.8 176.6", "force_sigma_N": "1.6 2 1.8", "length": "10.22 47.63 90"}
+_EVENTS |= {"length_sigma": "0.3 1.49 0", "spans": "no no yes", "provenance": "measured"}
+_EXAMPLES: dict[Template, dict[str, str]] = {
+    "slider": _LENGTHS,
+    "block": _LENGTHS | {"block_length": "75", "push_height": "5", "push_width": "2", "friction": "0.3"},
+    "sequence": _EVENTS,
+}
+"""Cells by column, one a line; a single one is that of every line."""
 
 
-def template(body: Body) -> str:
-    """Write a table to fill in, with one line as an example."""
-    example = _EXAMPLE | (_OF_BLOCKS if body == "block" else {})
-    columns = [COLUMNS[quantity] for quantity in example]
-    lines = ["# Replace the example by your own, one precursor per line. Leave out the columns that you do not know."]
-    lines += [f"# {one.quantity}: {', '.join(filter(None, one.choices))}" for one in columns if one.choices]
-    return "\n".join((*lines, ",".join(one.name(in_si=True) for one in columns), ",".join(example.values()), ""))
+def template(kind: Template) -> str:
+    """Write a table to fill in, with an example."""
+    cells = {name if name in NAMES[True] else COLUMNS[name].name(in_si=True): x for name, x in _EXAMPLES[kind].items()}
+    example = {name: every.split() for name, every in cells.items()}
+    choices = {name: NAMES[True][name][0].choices for name in example}
+    one = "event" if kind == "sequence" else "precursor"
+    lines = [f"# Replace the example by your own, one {one} per line. Leave out the columns that you do not know."]
+    lines += [f"# {name}: {', '.join(filter(None, every))}" for name, every in choices.items() if every]
+    rows = [[x[i % len(x)] for x in example.values()] for i in range(max(map(len, example.values())))]
+    return "\n".join((*lines, ",".join(example), *map(",".join, rows), ""))
 
 
 def named(header: Sequence[str], where: str) -> Named:
@@ -274,11 +296,13 @@ def named(header: Sequence[str], where: str) -> Named:
         if missing == ["correlation_length_um"]:
             expected = "a guess where λc is not known, such as 10, with correlation_length_sigma_um (docs/fit/own_csv.md)"
         raise MeasurementError(f"{where}: no column {', '.join(missing)} among {', '.join(header)}; expected {expected}")
-    pair = {"machine_stiffness", "block_width"}
-    if si and len(pair & there) == 1:
-        own = next(own for own, (column, _) in known.items() if column.quantity in pair)
-        missed = next(COLUMNS[one].name(in_si=True) for one in pair - there)
-        raise MeasurementError(f"{where}, column {own}: needs the column {missed}: the model is one of a unit width")
+    whole = [own for own, (column, _) in known.items() if own.endswith("_N") or column.quantity == "machine_stiffness"]
+    of_width = [own for own, (column, _) in known.items() if column.quantity == "block_width"]
+    if si and bool(whole) != bool(of_width):
+        missed = COLUMNS["block_width" if whole else "machine_stiffness"].name(in_si=True)
+        raise MeasurementError(
+            f"{where}, column {(whole + of_width)[0]}: needs the column {missed}: the model is one of a unit width"
+        )
     return known
 
 
@@ -426,8 +450,9 @@ def _faults(values: Mapping[str, Any]) -> Iterator[Fault]:
         yield from _faults_of_length(values)
         yield from _faults_of_push(values)
     if "block_width" in values:
-        missing = np.isnan(values["block_width"]) & ~np.isnan(values.get("machine_stiffness", np.nan))
-        yield "block_width", missing, "missing value: machine_stiffness_N_per_m is divided by it"
+        divided = [~np.isnan(values[name]) for name in ("machine_stiffness", "force", "normal_load") if name in values]
+        missing = np.isnan(values["block_width"]) & np.any(divided, axis=0)
+        yield "block_width", missing, "missing value: machine_stiffness_N_per_m and forces in N are divided by it"
 
 
 def _faults_of_length(values: Mapping[str, Any]) -> Iterator[Fault]:

@@ -206,6 +206,7 @@ class Measurements:
     contact_law: tuple[str, ...] = converted(converter=entries, default=())
     top: tuple[str, ...] = converted(converter=entries, default=())
     machine_stiffness: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    block_width: np.ndarray | None = converted(converter=numbers_or_none, default=None)
     height_sigma: np.ndarray | None = converted(converter=numbers_or_none, default=None)
     poisson_sigma: np.ndarray | None = converted(converter=numbers_or_none, default=None)
     correlation_length_sigma: np.ndarray | None = converted(converter=numbers_or_none, default=None)
@@ -216,6 +217,9 @@ class Measurements:
     displacement_sigma: np.ndarray | None = converted(converter=numbers_or_none, default=None)
     force: np.ndarray | None = converted(converter=numbers_or_none, default=None)
     force_sigma: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    normal_load: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    event: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    sequence: tuple[str, ...] = converted(converter=entries, default=())
     specimen: tuple[str, ...] = converted(converter=entries, default=())
     provenance: tuple[str, ...] = converted(converter=entries, default=())
     label: tuple[str, ...] = converted(converter=entries, default=())
@@ -368,6 +372,18 @@ class Measurements:
     def stated_sigma(self) -> np.ndarray:
         """Standard errors of the lengths in λc, 1 where none is given."""
         return np.ones(len(self)) if self.length_sigma is None else self.length_sigma
+
+    @property
+    def is_sequence(self) -> bool:
+        """Whether entries are forces and the places that fronts reached."""
+        return self.force is not None and self.push_height is not None
+
+    @property
+    def unit_of_force(self) -> tuple[np.ndarray, str]:
+        """1 N/m, (n,), in the table's unit of force, and that unit."""
+        if self.block_width is not None and self.heading("force").endswith("_N"):
+            return self.block_width, "N"
+        return np.full(len(self), 1e-3), "N/mm"
 
     @property
     def distinct(self) -> int:

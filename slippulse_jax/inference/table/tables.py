@@ -75,11 +75,17 @@ def read(table: Table, find: Callable[[list[str], str], Named]) -> dict[str, Any
     }
     check_rows(texts, place)
     kind = texts.get("kind", ["length"] * len(numbers))
-    values = _numbers(cells, {own: known[own] for own in of_numbers.values()}, place, kind)
+    spans = texts.pop("spans", None)
+    if spans is not None:
+        kind = ["at_least" if own == "yes" else how for own, how in zip(spans, kind, strict=True)]
+        texts["kind"] = kind
+    values = _numbers(cells, {own: known[own] for own in of_numbers.values()}, place, kind, spans)
     check_rows({**values, "kind": kind}, place, of_numbers, cells)
     other = {own: column for own, column in cells.items() if own not in known}
     if "block_width" in values:
-        values["machine_stiffness"] = values["machine_stiffness"] / values.pop("block_width")
+        for name in values:
+            if name == "machine_stiffness" or of_numbers[name].endswith("_N"):
+                values[name] = values[name] / values["block_width"]
     found = {**values, **texts, f"{table.counted}s": numbers, "source": table.name, "other": other, "columns": of_numbers}
     return {**found, "skipped": tuple(table.skipped)}
 
@@ -118,7 +124,11 @@ def _columns(table: Table, find: Callable[[list[str], str], Named]) -> tuple[Nam
 
 
 def _numbers(
-    cells: Mapping[str, list[str]], known: Named, place: Callable[[int], str], kind: Sequence[str]
+    cells: Mapping[str, list[str]],
+    known: Named,
+    place: Callable[[int], str],
+    kind: Sequence[str],
+    spans: Sequence[str] | None,
 ) -> dict[str, np.ndarray]:
     """Convert numbers to λc, m, Pa and N/m, blanks to NaN."""
     raw: dict[str, list[float]] = {own: [] for own in known}
@@ -132,7 +142,7 @@ def _numbers(
                 raise MeasurementError(
                     f"{place(i)}, column {own}: {cell!r} is not a number{_advice(cell, own, column.quantity)}"
                 )
-            elif column.may_be_blank:
+            elif column.may_be_blank or (column.quantity == "length" and spans is not None and spans[i] == "yes"):
                 raw[own].append(math.nan)
             elif column.quantity == "length_sigma" and kind[i] != "length":
                 raw[own].append(0.0)
@@ -143,6 +153,8 @@ def _numbers(
     with np.errstate(all="ignore"):  # a correlation length of 0 is refused later
         contact = math.prod(values.get("correlation_length", (1.0,)))
         found = {name: x * (unit / contact if name in IN_LC else unit) for name, (x, unit) in values.items()}
+        if spans is not None and "block_length" in found:
+            found["length"] = np.where(np.isnan(found["length"]), found["block_length"], found["length"])
         if "whole" in kind:  # whole numbers before they were divided by λc
             near = np.round(found["length"])
             whole = (np.array(kind) == "whole") & (abs(found["length"] - near) < 1e-6)
