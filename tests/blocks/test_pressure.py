@@ -1,5 +1,7 @@
 """A block whose thresholds follow the pressure: against a sparse finite-element program, closed forms, and a table of values."""
 
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -46,6 +48,29 @@ def test_random_blocks_with_friction_break_in_the_same_order(blocks):
             assert (int(record.status) == Outcome.LIFT_OFF) == (min(pressure.min(), record.pressure_before.min()) < 0)
             if np.isfinite(record.length):
                 assert float(record.length) == pytest.approx(length, rel=1e-6)
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("height", [12, pytest.param(24, marks=pytest.mark.slow)])
+def test_a_whole_sequence_is_that_of_finite_elements_that_share_no_code(height, monkeypatch):
+    """Of the programs of `fit_examples`: every event up to sliding, in its order, and the force as it begins."""
+    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[2] / "fit_examples")
+    from independent_block import responses
+    from independent_sequence import sequence, visible
+
+    b, friction = 1.5, 0.35
+    elastic = responses(height, 3 * height, 0.1 * height, 0.2 * height, b / (2.6 * height), 0.3, 1.2)
+    events = sequence(*elastic, friction)
+    block = pressed(height, b, sp.Push(0.15, 0.1), friction, normal_stiffness=1.2)
+    found = sp.series(block, events=len(events) + 3)
+    lengths, forces = map(np.array, zip(*events, strict=True))
+    assert int(found.number) == len(events) > 30
+    np.testing.assert_allclose(found.length[1 : len(events)], lengths[1:], rtol=0, atol=0.01)  # in contacts; meshes differ
+    assert float(found.length[0]) == pytest.approx(lengths[0], abs=0.02)  # on a curve, and on a straight line
+    np.testing.assert_allclose((found.force_before / found.strength)[: len(events)], forces, rtol=3e-4)
+    seen = visible(events)
+    assert 2 < len(seen) < len(events) / 3
+    assert (np.diff([one.length for one in seen]) > 1.5).all()
 
 
 @pytest.mark.ci

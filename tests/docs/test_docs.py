@@ -203,7 +203,7 @@ QUICK = ("index.md",)
 """Pages of which README's command runs the programs; CI runs those of the others too."""
 LONG = {
     "fit/block.md", "fit/design.md", "fit/gauges.md", "fit/optax.md", "fit/own_csv.md", "fit/own_likelihood.md",
-    "fit/own_observable.md", "howto/break_rule.md", "howto/pictures.md", "learn/gallery.md", "model/block.md", "model/block_theory.md", "model/experiments.md", "model/gradients.md",
+    "fit/own_observable.md", "fit/sequence.md", "howto/break_rule.md", "howto/pictures.md", "learn/gallery.md", "model/block.md", "model/block_theory.md", "model/experiments.md", "model/gradients.md",
     "model/precursors.md",
 }  # fmt: skip
 """Pages whose programs take longest and call what other tests hold: they run every night."""
