@@ -112,6 +112,20 @@ def test_a_request_without_meaning_is_refused(dropped, options, message):
         sp.fit(table, **{"free": BOTH} | options)
 
 
+@pytest.mark.parametrize(("row", "kind", "length"), [(10, "at_least", 60.0), (3, "at_least", None), (0, "whole", 9.1666666667)])
+def test_a_length_that_is_no_place_is_refused(row, kind, length):
+    """A front that only left the field of view, or a count; an event that spans may have a length read near the end."""
+    table = table_of(0.8, 0.35)
+    kinds = ["length"] * 10 + ["at_least"]
+    lengths = table.length_mm.to_numpy().copy()
+    kinds[row], lengths[row] = kind, lengths[row] if length is None else length
+    wrong = table.drop(columns="spans").assign(kind=kinds, length_mm=lengths, length_sigma_mm=table.length_sigma_mm.fillna(0))
+    with pytest.raises(ValueError, match=rf"row {row}: .* mm, {kind}: a sequence has places"):
+        sp.fit(wrong, BOTH)
+    near = sp.Measurements.from_dataframe(table.assign(length_mm=np.where(table.spans == "yes", 89.5, table.length_mm)))
+    BlockSequence(near).check(near, {"friction"})
+
+
 def test_rough_contacts_are_refused():
     rough = table_of(0.8, 0.35).assign(friction=0.35, contact_law="multicontact")
     with pytest.raises(ValueError, match="contact_law = 'multicontact'"):

@@ -633,6 +633,10 @@ ROUGHNESS = 0.01
 """Error of a force of a sequence, in μF_N: how far forces by place jump with the order of breaks."""
 
 
+NEAR_END = 0.05
+"""Part of the block within which a length that is stated of an event that spans is its end."""
+
+
 class BlockSequence(BlockEvent):
     """Sequences of a block: force at which its front first reaches places.
 
@@ -699,6 +703,11 @@ class BlockSequence(BlockEvent):
         if "multicontact" in m.contact_law:
             raise ValueError(f"{m.source}: contact_law = 'multicontact': series of such contacts take too long for a sequence")
         self._check_alike(m)
+        kind = np.array(m.kind)
+        short = (kind == "at_least") & (m.length < (1 - NEAR_END) * m.block_length)
+        if (wrong := (kind == "whole") | short).any():
+            where = "a sequence has places, and the end of the block where the event spans (spans, or kind at_least)"
+            raise ValueError(f"{m.place(i := int(np.argmax(wrong)))}: {m.in_its_unit(i, m.length[i])}, {kind[i]}: {where}")
         for name, row in (("force", m.force), ("normal_load", m.normal_load)):
             if row is not None and np.isnan(row).any():
                 raise ValueError(f"{m.place(int(np.argmax(np.isnan(row))))}, column {m.heading(name)}: missing")

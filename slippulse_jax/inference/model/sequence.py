@@ -179,8 +179,8 @@ class Cloud:
 class Surface:
     """A polynomial through what was read from series: a response surface.
 
-    By weighted least squares (Box and Wilson).
-    Its degree is the one that predicts each series best from the others. `scatter` is how far the series lie from it.
+    By weighted least squares (Box and Wilson). Its degree is the one that predicts each series best from the others. `scatter`
+    is how far the series lie from it.
     """
 
     def __init__(self, cloud: Cloud, weight: Float[np.ndarray, " n"]) -> None:

@@ -1,4 +1,4 @@
-"""Where series are followed for a fit of sequences.
+"""Clouds of series for a fit of sequences.
 
 A scan of the range searched comes first, then clouds about the minima. Each round fits surfaces to the series around the
 lowest ones, minimises the deviance on each, and follows more series around its minimum: over the errors known so far, and
@@ -177,8 +177,8 @@ def _raw(problem: Problem, known: np.ndarray) -> np.ndarray:
 def _rescaled(problem: Problem, known: np.ndarray) -> np.ndarray:
     """The best of some points if their forces had the right size.
 
-    With the friction or the normal load that gives it.
-    A force is nearly in proportion to either, so that the range of stiffness is scanned as if it were the only parameter.
+    With the friction or the normal load that gives it. A force is nearly in proportion to either, so that the range of
+    stiffness is scanned as if it were the only parameter.
     """
     q = problem.parameters
     scaling = next((j for name in ("normal_load", "friction") for j, one in enumerate(q.free) if one.name == name), None)
