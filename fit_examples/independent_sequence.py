@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-MOST_EVENTS = 2000
+MOST_EVENTS, MARCH = 2000, 400
 
 
 class Event(NamedTuple):
@@ -17,34 +17,55 @@ class Event(NamedTuple):
     force: float  # on the pusher, over that of friction μF_N
 
 
-def sequence(push, response, push_lost, lost, friction):
+def sequence(push, response, push_lost, lost, friction, threshold=1.0, ageing=None):
     """Events of a block under a slow push, up to the one that spans it; all contacts start relaxed.
 
-    Arguments are those of `independent_block.precursor`. The push rises until a contact reaches its Coulomb stress, and is held
-    while contacts break, the most overloaded next; each lets go of all its stress. By balance of forces, the pusher carries the
-    sum of what the contacts carry.
+    The first four arguments are those of `independent_block.precursor`, `threshold` is that of every contact, and `ageing` the
+    strength of a contact that has just broken, over that of an old one, and the rise of the push in which it recovers. The push
+    rises until a contact reaches its strength, and is held while contacts break, the most overloaded next; each lets go of all
+    its stress. By balance of forces, the pusher carries the sum of what the contacts carry.
     """
-    rate, change = push + friction * push_lost, response + friction * lost
-    change = change - np.eye(len(push))
-    stress, coulomb, events = np.zeros_like(push), np.zeros_like(push), []
+    weak, recovery = ageing or (1.0, 1.0)
+    n, load, events = len(push), 0.0, []
+    stress, relief, broken_at = np.zeros(n), np.zeros(n), np.full(n, -np.inf)
+
+    def over(rise):
+        strength = threshold * (1 - (1 - weak) * np.exp(-(load + rise - broken_at) / recovery))
+        return stress + rise * push - strength * (1 - friction * (relief + rise * push_lost))
+
     while len(events) < MOST_EVENTS:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            rise = np.where(rate > 0, (1 - coulomb) / rate, np.inf)
-        j = int(np.argmin(rise))
-        stress, coulomb, over = stress + rise[j] * push, coulomb + rise[j] * rate, {}
-        force = stress.mean()
-        while not over or coulomb.max() >= 1:
-            j = j if not over else int(np.argmax(coulomb))
-            over.setdefault(j, coulomb[j] - 1)
+        rise, j = first_crossing(over, push + friction * threshold * push_lost, threshold * (1 - friction * relief) - stress)
+        load, stress, relief, first_over = load + rise, stress + rise * push, relief + rise * push_lost, {}
+        force, excess = stress.mean(), over(0.0)
+        while not first_over or excess.max() >= 0:
+            j = j if not first_over else int(np.argmax(excess))
+            first_over.setdefault(j, max(excess[j], 0.0))
             released = stress[j]
-            stress, coulomb = stress + response[:, j] * released, coulomb + change[:, j] * released
+            stress, relief = stress + response[:, j] * released, relief + lost[:, j] * released
             stress[j] -= released
-        last = max(over)
-        if last + 1 == len(push):
+            broken_at[j] = load
+            excess = over(0.0)
+        last = max(first_over)
+        if last + 1 == n:
             return [*events, Event(np.inf, force)]
-        beyond = over[last] / (over[last] + 1 - coulomb[last + 1])
-        events.append(Event(last + beyond, force))
+        events.append(Event(last + first_over[last] / (first_over[last] - excess[last + 1]), force))
     raise RuntimeError(f"none of {MOST_EVENTS} events spans the block")
+
+
+def first_crossing(over, rate, lacking):
+    """Rise at which the first contact reaches its strength, and which it is.
+
+    No later than a contact that has recovered would reach it, at `lacking` over `rate`; by a march to there, and bisection.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        latest = max(np.where(rate > 0, lacking / rate, np.inf).min(), 0.0)
+    marched = np.linspace(0, latest * (1 + 1e-12) + 1e-15, MARCH)
+    high = int(np.argmax([over(rise).max() >= 0 for rise in marched[1:]])) + 1
+    low, high = marched[high - 1], marched[high]
+    while high - low > 1e-15 * (1 + high):
+        middle = (low + high) / 2
+        low, high = (middle, high) if over(middle).max() < 0 else (low, middle)
+    return high, int(np.argmax(over(high)))
 
 
 def visible(events, least=1.5):
