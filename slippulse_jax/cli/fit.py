@@ -24,6 +24,14 @@ def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ..
     return found
 
 
+def _error(ctx: click.Context, parameter: click.Parameter, text: str | None) -> float | str | None:
+    """A number, or a word that `fit` understands."""
+    try:
+        return text if text is None else float(text)
+    except ValueError:
+        return text
+
+
 def _print_template(ctx: click.Context, parameter: click.Parameter, kind: Template | None) -> None:
     """Print a table to fill in, and no more."""
     if kind is not None:
@@ -84,6 +92,12 @@ class WithColumns(click.Command):
     "--body",
     Body,
     "The paper's slider; or a block under two-dimensional elasticity, the default where the table says where it is pushed.",
+)
+@click.option(
+    "--model-error",
+    callback=_error,
+    metavar="VALUE|fitted",
+    help="Of a sequence: what the model leaves out, in μF_N; or fitted, from how far the forces lie from the fit.",
 )
 @click.option("--seed", type=int, help="Seed of starts, bootstrap and sampling.")
 @click.option("--request", metavar="FILE", help="TOML file of parameters and settings, or JSON of a fit to repeat.")

@@ -6,7 +6,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from tqdm.auto import tqdm
@@ -14,7 +14,7 @@ from tqdm.auto import tqdm
 from slippulse_jax.domains import check_choice, check_whole
 from slippulse_jax.inference.choices import Body, IntervalsBy, Loss, MeasuredEvent, Method, Sigma
 from slippulse_jax.inference.model.check import checked, suspicions
-from slippulse_jax.inference.model.fronts import Front
+from slippulse_jax.inference.model.fronts import BlockSequence, Front
 from slippulse_jax.inference.model.parameters import (
     STIFFNESSES,
     Parameter,
@@ -77,6 +77,7 @@ def fit(
     intervals: IntervalsBy = "auto",
     event: MeasuredEvent | Front | None = None,
     body: Body | None = None,
+    model_error: float | Literal["fitted"] | None = None,
 ) -> FitResult:
     """Fit the interface to measured first precursors.
 
@@ -125,6 +126,9 @@ def fit(
     body : {"slider", "block"}
         The paper's slider; or a block under two-dimensional elasticity, pushed where `measurements` say (docs/model/block.md):
         taken by default where they say so for every line.
+    model_error : float or "fitted", optional
+        Of the forces of sequences: what the model leaves out, in μF_N; or taken from how far the forces lie from the fit, so
+        that χ² is what is expected, and tests nothing. By default nothing beyond how far single series scatter.
 
     Returns
     -------
@@ -158,7 +162,7 @@ def fit(
     _check_calibrated(problem, intervals, scaled)
     counts = allowed_by_counts(problem) if problem.only_counts and not problem.parameters.front.interpolated else None
     ranges, at_odds = counts or ([], None)
-    whole, problem = problem.parameters, _gathered(problem, seed)
+    whole, problem = problem.parameters, _gathered(problem, seed, model_error, sigma)
     between = None if scaled or counts else between_contacts(problem, seed)
     if between is not None:
         problem = problem.widened(between)
@@ -170,6 +174,8 @@ def fit(
                 problem, found = _explore_scaled(shown, method, max_steps, seed)
             else:
                 found = _explore(shown, method, max_steps, seed)
+    if isinstance(front := problem.parameters.front, BlockSequence) and front.error_is_fitted:
+        found = found._replace(scatter_dof=max(problem.count - problem.p, 1))
     limits = {level: found.deviance + rise_of(level, dof=found.scatter_dof) for level in LEVELS}
     found = found._replace(curves=_within_reach(problem, found.curves))
     profiled = {j: allowed(problem, j, curve, limits) for j, curve in found.curves.items()}
@@ -218,9 +224,17 @@ def fit(
     )
 
 
-def _gathered(problem: Problem, seed: int) -> Problem:
+def _gathered(problem: Problem, seed: int, model_error: float | str | None, sigma: Sigma) -> Problem:
     """Follow the series that a fit of sequences needs."""
-    return gathered(problem, seed) if problem.measurements.is_sequence else problem
+    if problem.measurements.is_sequence:
+        if sigma == "relative":
+            raise ValueError(
+                "sigma = 'relative': a sequence has errors of the model too: model_error = \"fitted\" takes their size"
+            )
+        return gathered(problem, seed, model_error)
+    if model_error is not None:
+        raise ValueError("model_error: of forces of a sequence; beside lengths give a prior of model_factor")
+    return problem
 
 
 def _within_reach(problem: Problem, curves: dict[int, Curve]) -> dict[int, Curve]:
@@ -308,7 +322,7 @@ def _explore(problem: Problem, method: Method, max_steps: int, seed: int) -> Fou
     if roots and all(root.rebreaks for root in roots):
         roots = _merged(problem, roots, _softer(problem, roots[0], **options))
     curves: dict[int, Curve] = {}
-    for _ in range(SEARCH_ROUNDS):
+    for _ in range(1 if problem.measurements.is_sequence else SEARCH_ROUNDS):  # a surface has no minima between its series
         roots = ordered(problem, roots)
         curves = {j: profile(problem, j, roots[:MOST_ROOTS], found.theta[None], found.grid) for j in asked}
         best, deviance = _lowest(roots, curves, best, deviance)

@@ -32,7 +32,7 @@ from slippulse_jax.inference.model.parameters import (
 from slippulse_jax.inference.table.columns import COLUMNS, IN_LC, NUMERIC, MeasurementError
 from slippulse_jax.inference.table.measurements import Measurements, MeasurementWarning
 
-OF_SEQUENCES = ("newborn", "time_constant", "machine_stiffness", "normal_load")
+OF_SEQUENCES = ("newborn", "time_constant", "threshold_scatter", "machine_stiffness", "normal_load")
 """Parameters that only forces by place, up to sliding, determine."""
 AGED = 0.45
 """Part of a block below which no event tells how its contacts age."""
@@ -106,6 +106,9 @@ def _check_of_sequences(m: Measurements, one: Parameter, names: Sequence[str]) -
         raise ValueError(f"parameter {one.name}: of sequences of a block, with a force for every length")
     if one.name == "machine_stiffness" and m.machine_stiffness is None:
         raise ValueError("parameter machine_stiffness: the measurements state none to start from; a guess is enough")
+    if one.name == "threshold_scatter" and one.value is None:
+        option = m.option("--fix threshold_scatter=0.05", 'fixed={"threshold_scatter": 0.05}')
+        raise ValueError(f"parameter threshold_scatter: held, not fitted, as forces hardly tell 2 % from 10 %: {option}")
     if one.name == "time_constant" and "newborn" not in names:
         raise ValueError('parameter time_constant: contacts that age need newborn too: free = [..., "newborn"]')
     if one.name in ("newborn", "time_constant") and one.value is None and m.block_length is not None:

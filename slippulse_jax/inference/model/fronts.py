@@ -6,7 +6,7 @@ kernel may compute. A new model is a new class: one here, which `front_of` choos
 """
 
 import functools
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
@@ -32,7 +32,17 @@ from slippulse_jax.inference.choices import Body, MeasuredEvent
 from slippulse_jax.inference.model.family import FLAGS, SEARCHED, Families, geometry_of
 from slippulse_jax.inference.model.inputs import COMMON, Input, Inputs
 from slippulse_jax.inference.model.interpolation import Grid
-from slippulse_jax.inference.model.sequence import CONTACTS, GEOMETRY, SITES, Cloud, Followed, Surface, followed
+from slippulse_jax.inference.model.sequence import (
+    COARSER,
+    CONTACTS,
+    GEOMETRY,
+    SITES,
+    Cloud,
+    Followed,
+    Surface,
+    coordinates,
+    followed,
+)
 from slippulse_jax.inference.table.columns import NUMERIC
 from slippulse_jax.inference.table.measurements import Measurements
 from slippulse_jax.interface import Interface
@@ -630,9 +640,12 @@ class BlockEvent(Front):
 
 
 ROUGHNESS = 0.01
-"""Error of a force of a sequence, in μF_N: how far forces by place jump with the order of breaks."""
+"""How far the forces by place of a single series lie from the trend, in μF_N, until a surface tells."""
 
-
+STEP = 1e-3
+"""Step of θ over which curves of the numbers of a series are differences."""
+NEAR = 0.6
+"""How many series a surface has near where it is read, at least; one that is as far as its lengths counts 0.6."""
 NEAR_END = 0.05
 """Part of the block within which a length that is stated of an event that spans is its end."""
 
@@ -650,6 +663,7 @@ class BlockSequence(BlockEvent):
         "log_machine": FirstFront.inputs["log_machine"],
         "newborn": Input("ν", 0.0, 1.0, "must lie in (0, 1]", 1e-4, (0.01, 1.0)),
         "log_time": Input("τ/u_s", -np.inf, np.inf, ""),
+        "threshold_scatter": Input("scatter", -1e-300, 0.3, "must lie in [0, 0.3)", 1e-4, (0.0, 0.3)),
         "datum": Input("", 0.0, np.inf, ""),
     }
     most_off = 0.0  # `search.clouds` adds errors
@@ -661,20 +675,21 @@ class BlockSequence(BlockEvent):
         "gauges": "from forces and lengths alone: leave it out",
     }
     thresholds: str = "thresholds that follow the pressure"
-    model_error: float = ROUGHNESS  # of a force, in μF_N; of the one at which the front spans twice as much
+    model_error: float = 0.0  # of a force, in μF_N, beyond the order of breaks and places
+    error_is_fitted: bool = False
 
     def __init__(self, m: Measurements, **_: bool) -> None:
         none = np.zeros(len(m), int)
         keys = list(zip(m.sequence or none, m.specimen or none, strict=True))
         self.group = np.array([list(dict.fromkeys(keys)).index(key) for key in keys])
         self.clouds = [Cloud() for _ in range(self.group.max() + 1)]
-        self.surfaces: list[list[Surface]] = [[] for _ in self.clouds]
+        self.surfaces: list[Surface | None] = [None for _ in self.clouds]
         ends = np.full(len(m), np.nan) if m.block_length is None else m.block_length
         spans = np.array(m.kind) == "at_least"
         self.place = np.where(spans, np.nextafter(1.0, 0), m.length / ends)
         contact = 1 / np.minimum(ends, SITES)
-        self.error = np.where(spans, 0.0, np.hypot(np.nan_to_num(m.sigma), ends * contact / 2) / ends)
-        self.uncertain = np.where(spans, 2.0, 1.0)  # in `model_error`
+        own = contact * np.where(ends > SITES, 1.0, 0.5)  # of a front between two; and of contacts of another size
+        self.error = np.where(spans, 0.0, np.hypot(np.nan_to_num(m.sigma) / ends, own))
         self.advance = 1.5 * contact
         self.numbered = m.event is not None
         first = none == 1 if m.event is None else np.array([i == self._first(m, i) for i in range(len(m))])
@@ -748,16 +763,29 @@ class BlockSequence(BlockEvent):
             "log_machine": FirstFront().stated(m).get("log_machine", none + np.inf),
             "newborn": none + 1,
             "log_time": none,
+            "threshold_scatter": none,
             "datum": np.arange(len(m), dtype=float),
         }
 
-    def _numbers(self, inputs: Inputs) -> Float[np.ndarray, "L 11"]:
+    def _numbers(self, inputs: Inputs) -> Float[np.ndarray, "L 12"]:
         """What a series depends on."""
         given = {
             "log_ratio": inputs.get("log_sites") - inputs.log_height, "log_b": inputs.log_b, "poisson": inputs.poisson,
             "prestress": inputs.prestress,
         }  # fmt: skip
         return np.stack([given[name] if name in given else inputs.get(name) for name in (*GEOMETRY, *CONTACTS)], axis=-1)
+
+    def _followed(self, inputs: Inputs, row: int) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, " t"]]:
+        """Number of contacts on which series are followed; their excess size.
+
+        Those of the block; or where they are too many `SITES` and, every other series, fewer, so that their size, over L, can
+        be continued to that of the block. Where thresholds scatter that would be another scatter, and `SITES` it is.
+        """
+        own = np.exp(inputs.get("log_sites")[:, row])
+        alike = inputs.get("threshold_scatter")[:, row] == 0
+        fewer = alike & (np.arange(len(own)) % 2 == 1)
+        sites = np.where(own <= SITES, own, np.where(fewer, COARSER, SITES))
+        return sites, np.where(alike, 1 / sites - 1 / own, 0.0)
 
     def series(self, inputs: Inputs) -> Iterator[tuple[np.ndarray, Followed]]:
         """Follow the series of every sequence at inputs, (t, n)."""
@@ -766,8 +794,9 @@ class BlockSequence(BlockEvent):
             rows = np.flatnonzero(self.group == group)
             numbers = every[:, rows[0]]
             top = "held" if inputs.get("top_held").flat[rows[0]] else "free"
-            height = float(np.exp(inputs.log_height).flat[rows[0]])
-            yield rows, followed(numbers[:, : len(GEOMETRY)], numbers[:, len(GEOMETRY) :], height, top=top)
+            height = self._followed(inputs, rows[0])[0] / np.exp(numbers[:, GEOMETRY.index("log_ratio")])
+            of_block, first = len(GEOMETRY), len(self.clouds[group].numbers)
+            yield rows, followed(numbers[:, :of_block], numbers[:, of_block:], height, top=top, first=first)
 
     def follow(self, inputs: Inputs) -> None:
         """Add series of every sequence at inputs of shape (t, n)."""
@@ -783,37 +812,63 @@ class BlockSequence(BlockEvent):
                 force[:, arrested], spread[:, arrested] = found
                 own = np.isin(rows, self.first)
                 force[:, own], spread[:, own] = begins[:, None], 0.0
-            cloud.add(numbers, np.column_stack([friction * force, friction * spread, np.log(length)]))
+            read = np.column_stack([friction * force, friction * spread, np.log(length)])
+            cloud.add(numbers, read, self._followed(inputs, rows[0])[1])
 
-    def fitted(self, weights: Sequence[Float[np.ndarray, " t"]]) -> None:
-        """Read surfaces from here on, one for each weighting of the series.
+    def fitted(self, rows: np.ndarray | None, tuned: bool = False) -> None:
+        """Read surfaces through these series from here on.
 
         Without any, the nearest series.
         """
-        self.surfaces = [[Surface(cloud, weight) for weight in weights] for cloud in self.clouds]
+        self.surfaces = [None if rows is None else Surface(cloud, rows, tuned) for cloud in self.clouds]
 
-    def _read(self, inputs: Inputs, uncertain: bool) -> np.ndarray:
+    def evaluate(self, inputs: Inputs, along: Along = None) -> Predicted:
+        """Forces of many lanes, and their derivatives along a line."""
+        if along is None:
+            return self._read(inputs, uncertain=False)[None]
+        sides = [
+            coordinates(self._numbers(Inputs.from_table(inputs.names, inputs.table() + side * STEP * along)))
+            for side in (-1, 0, 1)
+        ]
+        way, turn = (sides[2] - sides[0]) / (2 * STEP), (sides[2] - 2 * sides[1] + sides[0]) / STEP**2
+        found = np.zeros((3, len(way)))
+        found[0] = self._read(inputs, uncertain=False)
+        for here, group, distinct, own, column in self._columns(inputs, uncertain=False):
+            surface = self.surfaces[group]
+            assert surface is not None
+            first, second = (x[own, ..., column] for x in surface.derivatives(distinct))
+            w = way[here][:, surface.moving]
+            found[1, here] = np.einsum("la,la->l", first, w)
+            found[2, here] = np.einsum("lab,la,lb->l", second, w, w) + np.einsum(
+                "la,la->l", first, turn[here][:, surface.moving]
+            )
+        return np.where(np.isfinite(found[0]) | (np.arange(3) == 0)[:, None], found, 0)
+
+    def _columns(self, inputs: Inputs, uncertain: bool) -> Iterator[tuple]:
+        """Lanes of each sequence, and what is read.
+
+        Where they are, which sequence, distinct numbers, which of these, and the columns.
+        """
         numbers, datum = self._numbers(inputs), np.asarray(inputs.get("datum")).astype(int)
         n = len(self.group)
-        found = np.zeros(len(numbers))
-        for group, (cloud, surfaces) in enumerate(zip(self.clouds, self.surfaces, strict=True)):
+        for group in range(len(self.clouds)):
             here = np.flatnonzero(self.group[datum % n] == group)
             if not here.size:
                 continue
             distinct, own = distinct_rows(numbers[here])
             rows = np.flatnonzero(self.group == group)
             column = np.searchsorted(rows, datum[here] % n) + uncertain * len(rows)
-            column = np.where(datum[here] >= n, 2 * len(rows), column)
-            if not surfaces:
-                found[here] = cloud.nearest(distinct)[own, column]
+            yield here, group, distinct, own, np.where(datum[here] >= n, 2 * len(rows), column)
+
+    def _read(self, inputs: Inputs, uncertain: bool) -> np.ndarray:
+        found = np.zeros(inputs.poisson.shape)
+        for here, group, distinct, own, column in self._columns(inputs, uncertain):
+            surface = self.surfaces[group]
+            if surface is None:
+                found[here] = self.clouds[group].nearest(distinct)[own, column]
                 continue
-            values, apart = (np.stack(x) for x in zip(*(surface(distinct) for surface in surfaces), strict=True))
-            which = apart.argmin(axis=0)
-            values[:, apart.min(axis=0) > 1] = np.nan
-            found[here] = values[which[own], own, column]
-            if uncertain:
-                scatter = np.stack([surface.scatter for surface in surfaces])
-                found[here] = np.hypot(found[here], scatter[which[own], column - len(rows)])
+            values, near = surface(distinct)
+            found[here] = np.where(near < NEAR, np.nan, values.T).T[own, column]
         return np.where(np.isnan(found), np.inf, found)
 
     def values(self, inputs: Inputs) -> np.ndarray:
@@ -824,9 +879,22 @@ class BlockSequence(BlockEvent):
         return self._read(inputs, uncertain=False)
 
     def uncertainty(self, inputs: Inputs) -> np.ndarray | None:
-        """Errors of forces over the normal load: of model and place."""
-        own = self.uncertain[np.asarray(inputs.get("datum")).astype(int)]
-        return np.hypot(self._read(inputs, uncertain=True), self.model_error * own * inputs.get("friction"))
+        """Errors of forces of a single series over the normal load."""
+        return np.hypot(self._read(inputs, uncertain=True), max(self.model_error, ROUGHNESS) * inputs.get("friction"))
+
+    def covariance(self, inputs: Inputs) -> Float[np.ndarray, "n n"]:
+        """Covariance of the errors of forces over the normal load.
+
+        Of their places, of what the model leaves out, and of how far series lie from their surface: neighbours, which may be
+        of one event, err together.
+        """
+        found = np.diag(self._read(inputs, uncertain=True) ** 2 + (self.model_error * inputs.get("friction")) ** 2)
+        numbers = self._numbers(inputs)
+        for group, surface in enumerate(self.surfaces):
+            rows = np.flatnonzero(self.group == group)
+            if surface is not None:
+                found[np.ix_(rows, rows)] += surface.covariance(numbers[rows[0]])[: len(rows), : len(rows)]
+        return found
 
     def softest(self, m: Measurements) -> np.ndarray:
         """k/K at the least b searched."""

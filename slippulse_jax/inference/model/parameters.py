@@ -241,6 +241,7 @@ PARAMETERS: dict[str, ParameterKind] = {
     "friction": ParameterKind("", ("", ""), False, {"friction": 1}, (0.0, 0.95), 1.0, limits=(0.0, np.inf)),
     "newborn": ParameterKind("ν", ("", ""), False, {"newborn": 1}, (0.05, 1.0), limits=(0.01, 1.0)),
     "time_constant": ParameterKind("τ", ("u_s", "u_s"), True, {"log_time": 1}, (0.02, 50.0)),
+    "threshold_scatter": ParameterKind("scatter", ("", ""), False, {"threshold_scatter": 1}, (0.0, 0.15), limits=(0.0, 0.3)),
     "machine_stiffness": ParameterKind("M", ("E", "Pa"), True, {"log_machine": 1}, factor=10.0),
     "normal_load": ParameterKind("F_N", ("", "N/m"), True, {"reach": 1}, factor=10.0),
     "strength": ParameterKind("σ_s", ("", "Pa"), True, {"displacement": 1, "force": 1, "slip": 1, "stress": 1}, (1.0, 1e12)),

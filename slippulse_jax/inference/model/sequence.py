@@ -1,19 +1,22 @@
 """Sequences of precursors of a block, for fits: forces by place.
 
-A series is followed at given numbers, on at most `SITES` contacts of the same areal stiffness: what a front does hardly depends
-on their size. Its lengths jump with the order of breaks, and so, by some 0.01 μF_N, does the force F^x(x) at which the front
-first reaches x. The slope that a fit needs is the trend over many orders; at a fixed order it has the wrong sign beyond 0.4 L.
-So a prediction is a polynomial through many series (`Surface`), and a fit chooses where these are.
+A series is followed at given numbers, on at most `SITES` contacts of the same areal stiffness; forces of a block with more are
+continued to their size, along which they change little. Its lengths jump with the order of breaks, and so, by some 0.01 μF_N,
+does the force F^x(x) at which the front first reaches x. The slope that a fit needs is the trend over many orders; at a fixed
+order it has the wrong sign beyond 0.4 L. So a prediction is a smooth function through many series (`Surface`), and a fit
+chooses where these are.
 """
 
 import functools
-import itertools
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
 from scipy.special import ndtr
 
 from slippulse_jax.block import Block, Push, Top
@@ -27,14 +30,18 @@ from slippulse_jax.interface import Interface
 
 SITES = 128
 """Most contacts of a block whose series is followed."""
+COARSER = 80
+"""Contacts of every other series of a block that has more than `SITES`."""
 EVENTS = 4 * SITES
 """Most events of a series; a front that creeps by single contacts has one for each."""
 TOGETHER = 8
 """Series of one geometry that are followed by one lane."""
 GEOMETRY = ("poisson", "log_ratio", "log_push", "log_push_width", "log_normal_stiffness")
 """What the elastic block is: ν, and the logarithms of L/H, h/H, w/H and k_n/k."""
-CONTACTS = ("log_b", "friction", "prestress", "log_machine", "newborn", "log_time")
-"""What may differ on one block: ln b, μ, φ, ln M/K, and the strength of a newborn contact and ln τ over u_s."""
+CONTACTS = ("log_b", "friction", "prestress", "log_machine", "newborn", "log_time", "threshold_scatter")
+"""What may differ on one block: ln b, μ, φ, ln M/K, a newborn contact, ln τ over u_s, scatter of thresholds."""
+WEAKEST = 0.05
+"""Least threshold, over their mean, where they scatter."""
 
 
 class Followed(NamedTuple):
@@ -90,29 +97,36 @@ class Followed(NamedTuple):
 
 def followed(
     geometry: Float[np.ndarray, "n 5"],
-    contacts: Float[np.ndarray, "n 6"],
-    height: float,
+    contacts: Float[np.ndarray, "n 7"],
+    height: Float[np.ndarray, " n"] | float,
     *,
     top: Top = "free",
+    first: int = 0,
 ) -> Followed:
-    """Follow series of blocks of H/λc, each at its own numbers."""
+    """Follow series of blocks of H/λc, each at its own numbers.
+
+    Where thresholds scatter, each has its own, of as many draws from `first` on.
+    """
     aged, wide = bool((contacts[:, CONTACTS.index("newborn")] < 1).any()), bool(np.isfinite(geometry[:, 3]).all())
+    geometry = np.column_stack([geometry, np.broadcast_to(height, len(geometry))])
     blocks, own = distinct_rows(geometry)
+    scattered = bool(contacts[:, CONTACTS.index("threshold_scatter")].any())
+    contacts = np.column_stack([contacts, first + np.arange(len(contacts))])
     groups = [np.flatnonzero(own == i) for i in range(len(blocks))]
     parts = [rows[start : start + TOGETHER] for rows in groups for start in range(0, len(rows), TOGETHER)]
-    lanes = np.empty((len(parts), len(GEOMETRY) + 1 + TOGETHER * len(CONTACTS)))
+    lanes = np.empty((len(parts), geometry.shape[1] + TOGETHER * contacts.shape[1]))
     for lane, rows in zip(lanes, parts, strict=True):
         filled = contacts[np.resize(rows, TOGETHER)]
-        lane[:] = np.concatenate([geometry[rows[0]], [height], filled.ravel()])
+        lane[:] = np.concatenate([geometry[rows[0]], filled.ravel()])
     found = Followed(*np.empty((len(Followed._fields), len(contacts), EVENTS)))
-    for column, values in zip(found, over_lanes(_series(aged, wide, top), [*lanes.T], ONE_BY_ONE), strict=True):
+    for column, values in zip(found, over_lanes(_series(aged, wide, scattered, top), [*lanes.T], ONE_BY_ONE), strict=True):
         for i, rows in enumerate(parts):
             column[rows] = values[: len(rows), :, i]
     return found
 
 
 @functools.cache
-def _series(aged: bool, wide: bool, top: Top) -> Kernel:
+def _series(aged: bool, wide: bool, scattered: bool, top: Top) -> Kernel:
     def of_lane(lane: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
         numbers = lane[:, 0]
         poisson, *logs = numbers[: len(GEOMETRY)]
@@ -126,14 +140,20 @@ def _series(aged: bool, wide: bool, top: Top) -> Kernel:
             length = sites.astype(jnp.int32)
             return Block(tall, b * per_b, poisson, push, "stress", length, normal, friction, "amontons", top, machine)
 
-        points = numbers[len(GEOMETRY) + 1 :].reshape(TOGETHER, len(CONTACTS))
+        points = numbers[len(GEOMETRY) + 1 :].reshape(TOGETHER, len(CONTACTS) + 1)
         bare = unattached(block(points[0]))
 
         def one(contacts: Array) -> tuple[Array, ...]:
             body = contacts_of(block(contacts), Interface(contacts[2], 0.0), SITES, bare)
             there = jnp.arange(SITES) < sites
+            threshold = body.threshold
+            if scattered:
+                drawn = jax.random.normal(jax.random.key(contacts[7].astype(jnp.int32)), (SITES,), threshold.dtype)
+                threshold = threshold * jnp.maximum(1 + contacts[6] * drawn, WEAKEST)
             body = body._replace(
-                threshold=jnp.where(there, body.threshold, jnp.inf), prestress=jnp.where(there, body.prestress, 0)
+                threshold=jnp.where(there, threshold, jnp.inf),
+                prestress=jnp.where(there, body.prestress, 0),
+                alike=body.alike and not scattered,
             )
             ageing = Ageing(contacts[4], jnp.exp(contacts[5])) if aged else None
             most = jnp.int32(BREAKS_PER_SITE * SITES)
@@ -151,10 +171,17 @@ def _series(aged: bool, wide: bool, top: Top) -> Kernel:
     return of_lane
 
 
-UNITS = dict(zip((*GEOMETRY, *CONTACTS), (0.03, 0.05, 0.05, 0.1, 0.2, 0.06, 0.06, 0.03, 0.3, 0.06, 0.2), strict=True))
+UNITS = dict(zip((*GEOMETRY, *CONTACTS), (0.03, 0.05, 0.05, 0.1, 0.2, 0.06, 0.06, 0.03, 0.3, 0.06, 0.2, 0.02), strict=True))
 """Least half-width of a cloud in each number: the slope over less is that of single orders of breaks."""
-HIGHEST, PER_TERM = 4, 2.5
-"""Highest degree of a surface, and the least number of series, by their weights, for each of its coefficients."""
+REACH, SCATTER, USUAL_REACH, USUAL_SCATTER = (3.0, 60.0), (1e-3, 1.0), 6.0, 0.03
+"""Lengths of a surface, in `UNITS`, and its scatter over its size, squared: their ranges, and those that are not tuned."""
+
+TUNED = 200
+"""Series by which lengths and scatter of a surface are tuned, the best ones."""
+TOGETHER_READ = 256
+"""Places at which derivatives are taken together."""
+DOUBTED = 0.25
+"""Error of a continuation to smaller contacts, over what it changes; contacts of a quarter of the size say 0.1 to 0.4."""
 
 
 class Cloud:
@@ -163,9 +190,16 @@ class Cloud:
     def __init__(self) -> None:
         self.numbers = np.empty((0, len(UNITS)))
         self.values = np.empty((0, 0))
+        self.coarse = np.empty(0)
 
-    def add(self, numbers: Float[np.ndarray, "n d"], values: Float[np.ndarray, "n m"]) -> None:
-        """Add series; what could not be read of one is NaN."""
+    def add(
+        self, numbers: Float[np.ndarray, "n d"], values: Float[np.ndarray, "n m"], coarse: float | np.ndarray = 0.0
+    ) -> None:
+        """Add series; what could not be read of one is NaN.
+
+        `coarse` is how much larger their contacts are than those of the block, over its length.
+        """
+        self.coarse = np.append(self.coarse, np.broadcast_to(coarse, len(values)))
         self.values = np.concatenate([self.values.reshape(-1, values.shape[1]), values])
         self.numbers = np.concatenate([self.numbers, numbers])
 
@@ -177,57 +211,91 @@ class Cloud:
 
 
 class Surface:
-    """A polynomial through what was read from series: a response surface.
+    """What was read from series as a smooth function of their numbers.
 
-    By weighted least squares (Box and Wilson). Its degree is the one that predicts each series best from the others. `scatter`
-    is how far the series lie from it.
+    A Gaussian process about a plane, with scatter (kriging: Sacks et al., Stat. Sci. 4, 409, 1989); its lengths and scatter are
+    those of the largest likelihood if `tuned`. Where contacts are larger than those of the block, it is continued along a
+    straight line in their size.
     """
 
-    def __init__(self, cloud: Cloud, weight: Float[np.ndarray, " n"]) -> None:
-        place = coordinates(cloud.numbers)
+    def __init__(self, cloud: Cloud, rows: np.ndarray, tuned: bool = False) -> None:
+        rows = rows[np.isfinite(cloud.values[rows]).all(axis=1)]
+        place, self.coarse, values = coordinates(cloud.numbers[rows]), cloud.coarse[rows], cloud.values[rows]
         self.moving = np.ptp(place, axis=0) > 0
-        inside = np.isfinite(cloud.values).all(axis=1) & (weight > 0)
-        x, y, w = place[inside][:, self.moving], cloud.values[inside], weight[inside]
-        share = w / w.sum()
-        self.centre = share @ x
-        self.scale = np.maximum(np.sqrt(share @ (x - self.centre) ** 2), 1e-9)
-        off = (x - self.centre) / self.scale
-        self.inverse = np.linalg.pinv((share * off.T) @ off, rcond=1e-9, hermitian=True)
-        self.reach = np.maximum(self._apart(x).max(initial=0.0), 1e-9)
-        self.scatter = np.full(y.shape[1], np.inf)
-        count = w.sum() ** 2 / (w**2).sum()  # of series of equal weight
-        typical = np.maximum(np.abs(share @ y), 1e-9)
-        best = np.inf
-        for degree in range(1, HIGHEST + 1):
-            powers = _powers(x.shape[1], degree)
-            if degree > 1 and PER_TERM * len(powers) > count:
-                break
-            design = self._design(x, powers) * np.sqrt(w)[:, None]
-            u, s, v = np.linalg.svd(design, full_matrices=False)
-            kept = s > 1e-9 * s[0]
-            coefficients = (v[kept].T / s[kept]) @ (u[:, kept].T @ (y * np.sqrt(w)[:, None]))
-            left = (y * np.sqrt(w)[:, None] - design @ coefficients) / np.maximum(1 - (u[:, kept] ** 2).sum(1), 1e-3)[:, None]
-            alone = np.sqrt((left**2).sum(axis=0) / w.sum())  # each series predicted from the others
-            score = float((np.minimum(alone / typical, 1.0) ** 2).sum())
-            if score < best:
-                best, self.powers, self.coefficients, self.scatter = score, powers, coefficients, alone
+        self.place, self.middle = place[:, self.moving], place[:, self.moving].mean(axis=0)
+        self.size = np.maximum(values.std(axis=0), 1e-9)
+        self.values = values / self.size
+        self.plane = np.column_stack([np.ones(len(rows)), self.place - self.middle, SITES * self.coarse])
+        self.plane = self.plane if self.coarse.any() else self.plane[:, :-1]
+        logs = np.log(np.append(np.full(self.place.shape[1], USUAL_REACH), USUAL_SCATTER))
+        if tuned:
+            bounds = [*[tuple(np.log(REACH))] * self.place.shape[1], tuple(np.log(SCATTER))]
+            how = {"maxfev": 40 * len(logs), "xatol": 0.05, "fatol": 0.5}
+            logs = minimize(self._through, logs, args=(slice(TUNED),), method="Nelder-Mead", bounds=bounds, options=how).x
+        self._through(logs, slice(None))
+        self.inverse = cho_solve(self.factor, np.eye(len(rows)))
+        known = self.inverse - self.weights @ self.spread @ self.weights.T
+        self.alone = (known @ self.values) / np.diag(known)[:, None]  # how far each series lies from the others
 
-    def _design(self, x: np.ndarray, powers: list[tuple[int, ...]]) -> np.ndarray:
-        z = (x - self.centre) / self.scale
-        return np.stack([np.prod(z[:, list(term)], axis=1) for term in powers], axis=1)
+    def _through(self, logs: np.ndarray, some: slice) -> float:
+        """Go through some series, at lengths and scatter; −ln of their likelihood."""
+        self.reach, self.scatter = np.exp(logs[:-1]), np.exp(logs[-1])
+        plane, y = self.plane[some], self.values[some]
+        kernel = self._alike(self.place[some])[:, some]
+        self.factor = cho_factor(kernel + self.scatter * np.eye(len(y)), lower=True)
+        self.weights = cho_solve(self.factor, plane)
+        self.spread = np.linalg.pinv(plane.T @ self.weights, rcond=1e-10, hermitian=True)  # inputs may move together
+        self.slope = self.spread @ self.weights.T @ y
+        self.bend = cho_solve(self.factor, y - plane @ self.slope)
+        left = np.maximum(((y - plane @ self.slope) * self.bend).mean(axis=0), 1e-12)
+        return len(y) * np.log(left).sum() / 2 + y.shape[1] * np.log(np.diag(self.factor[0])).sum()
+
+    def _alike(self, place: np.ndarray) -> np.ndarray:
+        here, there = place / self.reach, self.place / self.reach
+        apart = (here**2).sum(axis=1)[:, None] - 2 * here @ there.T + (there**2).sum(axis=1)
+        return np.exp(-np.maximum(apart, 0) / 2)
 
     def __call__(self, numbers: Float[np.ndarray, "b d"]) -> tuple[Float[np.ndarray, "b m"], Float[np.ndarray, " b"]]:
-        """Values at numbers; distances from the middle, at most 1 inside."""
-        x = coordinates(numbers)[:, self.moving]
-        return self._design(x, self.powers) @ self.coefficients, self._apart(x) / self.reach
+        """Values at numbers; and how many series are near."""
+        place = coordinates(numbers)[:, self.moving]
+        alike = self._alike(place)
+        plane = np.column_stack([np.ones(len(place)), place - self.middle])
+        return (plane @ self.slope[: plane.shape[1]] + alike @ self.bend) * self.size, alike.sum(axis=1)
 
-    def _apart(self, x: np.ndarray) -> np.ndarray:
-        off = (x - self.centre) / self.scale
-        return np.einsum("bi,ij,bj->b", off, self.inverse, off)
+    def derivatives(self, numbers: Float[np.ndarray, "b d"]) -> tuple[Float[np.ndarray, "b c m"], Float[np.ndarray, "b c c m"]]:
+        """First and second derivatives of the values in the moving coordinates."""
+        place, count = coordinates(numbers)[:, self.moving], self.place.shape[1]
+        first = np.empty((len(place), count, self.values.shape[1]))
+        second = np.empty((len(place), count, count, self.values.shape[1]))
+        for start in range(0, len(place), TOGETHER_READ):
+            here = slice(start, start + TOGETHER_READ)
+            off = (self.place.T - place[here][:, :, None]) / self.reach[:, None] ** 2
+            bent = off * self._alike(place[here])[:, None]
+            first[here] = bent @ self.bend + self.slope[1 : 1 + count]
+            curved = (
+                bent[:, :, None] * off[:, None]
+                - np.eye(count)[..., None] / self.reach[:, None, None] ** 2 * (self._alike(place[here])[:, None, None])
+            )
+            second[here] = curved @ self.bend
+        return first * self.size, second * self.size
 
+    def covariance(self, numbers: Float[np.ndarray, " d"]) -> Float[np.ndarray, "m m"]:
+        """Covariance of how far series around these numbers lie from it.
 
-def _powers(d: int, degree: int) -> list[tuple[int, ...]]:
-    return [term for n in range(degree + 1) for term in itertools.combinations_with_replacement(range(d), n)]
+        With its own error; where it is continued to smaller contacts, `DOUBTED` of that too.
+        """
+        place = coordinates(numbers[None])[:, self.moving]
+        weight = self._alike(place)[0]
+        plane = np.zeros(self.plane.shape[1])
+        plane[: 1 + place.shape[1]] = 1.0, *(place[0] - self.middle)
+        off = plane - weight @ self.weights
+        own = max(1 - weight @ self.inverse @ weight, 0) + off @ self.spread @ off
+        alone = self.alone * self.size
+        found = (weight * alone.T) @ alone / weight.sum() * (1 + own / self.scatter)
+        if not self.coarse.any():
+            return found
+        doubt = DOUBTED * SITES * self.coarse.min() * self.slope[-1] * self.size
+        return found + np.outer(doubt, doubt)
 
 
 def coordinates(numbers: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n d"]:

@@ -16,10 +16,11 @@ from scipy.special import chdtrc
 from slippulse_jax.block import USUAL_NORMAL_STIFFNESS
 from slippulse_jax.inference.model.fronts import BlockEvent, BlockSequence, Front, front_for, front_of
 from slippulse_jax.inference.model.parameters import HEIGHTS, MODEL_ERROR, STIFFNESSES, Parameter, ParameterSet, parameter_set
-from slippulse_jax.inference.result.verdict import SCATTERED, Identifiability
+from slippulse_jax.inference.result.verdict import Identifiability
+from slippulse_jax.inference.search.clouds import gathered
 from slippulse_jax.inference.search.intervals import LEVELS, Interval
-from slippulse_jax.inference.search.likelihood import IMPROBABLE, Problem, make_problem
-from slippulse_jax.inference.search.minima import DevianceGrid, between_contacts, ordered, search
+from slippulse_jax.inference.search.likelihood import IMPROBABLE, SCATTERED, Problem, make_problem
+from slippulse_jax.inference.search.minima import DevianceGrid, between_contacts, first_look, ordered, search
 from slippulse_jax.inference.search.minimise import minimise
 from slippulse_jax.inference.table.columns import COLUMNS, IN_LC
 from slippulse_jax.inference.table.measurements import Measurements
@@ -41,6 +42,8 @@ NARROW, NARROW_PUSHER = 0.1, "0.1 H high"
 """Height over H of a pusher that may cover less than all of the side above, where the table does not say; and in words."""
 PRESSED, NORMAL = (0.3, 0.6), (1.0, 1.4)
 """Friction coefficients tried where a table of a block states none, and k_n/k where one with friction states none."""
+SCATTER = 0.05
+"""How thresholds of contacts are tried to scatter; twice what is held, if more."""
 SERIES = 24
 """Series near a fit of sequences, over which what a change does to them is averaged."""
 MOST_STEPS = 25
@@ -99,34 +102,46 @@ def _of_sequence(result: "FitResult") -> Iterator[Change]:
             what, error, *_ = COLUMNS[name].usual
             moves = _shifted(result, [_moved(m, name, error)])
             yield Change(name, what, moves, {one: -by[0] for one, by in moves.items()})
+    longer = _shifted(result, [_moved(m, "block_length", math.log(1.01))])
+    yield Change("block_length", "a block longer by 1 %", longer)
     if m.normal_stiffness is None:
         what = "k_n/k of {:g} or {:g}, for {:g} (column normal_stiffness states it)".format(*NORMAL, USUAL_NORMAL_STIFFNESS)
         sprung = [dataclasses.replace(m, normal_stiffness=np.full(len(m), ratio)) for ratio in NORMAL]
         yield Change("normal_stiffness", what, _shifted(result, sprung))
+    scatter = max(SCATTER, 2 * q.inputs.at(result.theta).get("threshold_scatter")[0])
+    moves = _shifted(result, [m], _scattered(q.wanted, scatter))
+    yield Change("threshold_scatter", f"thresholds that scatter by {100 * scatter:.2g} % from contact to contact", moves)
 
 
-def _shifted(result: "FitResult", every: Sequence[Measurements]) -> dict[str, tuple[float, ...]]:
-    """Moves of the parameters by other measurements, to first order."""
+def _scattered(wanted: Iterable[Parameter], scatter: float) -> list[Parameter]:
+    """These parameters, with thresholds that scatter."""
+    return [*(one for one in wanted if one.name != "threshold_scatter"), Parameter("threshold_scatter", value=float(scatter))]
+
+
+def _shifted(
+    result: "FitResult", every: Sequence[Measurements], wanted: Sequence[Parameter] | None = None
+) -> dict[str, tuple[float, ...]]:
+    """Moves by other measurements, or other held parameters, to first order."""
     problem, q, m = result.problem, result.parameters, result.measurements
     jacobian = problem.jacobian(result.theta)
     covariance = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-9, hermitian=True)
     gain = covariance @ jacobian.T
     near = np.random.default_rng(0).multivariate_normal(result.theta, covariance, SERIES, method="eigh")
     near = np.clip(near, q.low, q.high)
-    known = _data_of_series(problem, m, near)
+    known = _data_of_series(problem, m, near, q.wanted)
     moves: dict[str, tuple[float, ...]] = dict.fromkeys(result.moved, ())
     for other in every:
-        off = np.nanmean(_data_of_series(problem, other, near) - known, axis=0)
-        sigma = np.concatenate([data.sigma for data in problem.observed])
-        by = -gain @ np.concatenate([np.nan_to_num(off) / sigma, np.zeros(len(jacobian) - len(off))])
+        off = np.nanmean(_data_of_series(problem, other, near, q.wanted if wanted is None else wanted) - known, axis=0)
+        known_off = problem.in_errors(np.nan_to_num(off)[None])[0]
+        by = -gain @ np.concatenate([known_off, np.zeros(len(jacobian) - len(off))])
         for one in moves:
             moves[one] += (float(by[q.index(one)]),)
     return moves
 
 
-def _data_of_series(problem: Problem, m: Measurements, theta: np.ndarray) -> np.ndarray:
+def _data_of_series(problem: Problem, m: Measurements, theta: np.ndarray, wanted: Iterable[Parameter]) -> np.ndarray:
     """What single series at θ give for the data of these measurements."""
-    q = parameter_set(m, problem.parameters.wanted, BlockSequence(m))
+    q = parameter_set(m, wanted, BlockSequence(m))
     assert isinstance(q.front, BlockSequence)
     q.front.follow(q.inputs.at(theta))
     return make_problem(m, q, problem.loss, m.stated_sigma).predictions(theta)
@@ -424,7 +439,7 @@ def suggestions(result: "FitResult") -> list[str]:
     at_maximum = result.identifiability is Identifiability.AT_MAXIMUM
     if not at_maximum and result.identifiability is not Identifiability.POOR_FIT:
         return []
-    rejected = p_value is not None and p_value < IMPROBABLE
+    rejected = p_value is not None and p_value < result.problem.improbable
     steps = _offered(result, [*_richer(result), *_outliers(result)]) if rejected else []
     if at_maximum:
         steps.append(
@@ -438,9 +453,15 @@ def suggestions(result: "FitResult") -> list[str]:
         )
     if dof and rejected and not steps:
         larger = f"{np.sqrt(result.deviance / dof):.2g} times as large"
-        relative = m.option("--sigma relative", 'sigma="relative"')
-        steps.append(f"if σ is a guess, it would have to be {larger}; take it from the scatter by {relative}")
+        steps.append(f"if σ is a guess, it would have to be {larger}; take it from the scatter by {size_from_scatter(m)}")
     return steps
+
+
+def size_from_scatter(m: Measurements) -> str:
+    """Option that takes the size of errors from the scatter."""
+    if m.is_sequence:
+        return m.option("--model-error fitted", 'model_error="fitted"')
+    return m.option("--sigma relative", 'sigma="relative"')
 
 
 def _shared(result: "FitResult") -> Iterator[str]:
@@ -488,6 +509,10 @@ def _richer(result: "FitResult") -> Iterator[tuple[float, int, str]]:
         pattern = "the residuals of each specimen have one sign: " if one_sign else "the specimens may differ: "
         option = m.option("--each-specimen stiffness", _as_argument(each))
         yield *_with(result, each), f"{pattern}try one stiffness for each: {option}"
+    if m.is_sequence and not result.parameters.inputs.at(result.theta).get("threshold_scatter").any():
+        option = m.option(f"--fix threshold_scatter={SCATTER}", f'fixed={{"threshold_scatter": {SCATTER}}}')
+        text = f"thresholds of real contacts scatter: try {100 * SCATTER:.0f} % from contact to contact: {option}"
+        yield *_with(result, _scattered(wanted, SCATTER)), text
     if result.parameters.front.body == "slider" and m.prestress is None and all(one.name != "prestress" for one in wanted):
         trend, more = _trend(result), [*wanted, Parameter("prestress")]
         option = m.option(" ".join(f"--free {one.name}" for one in _asked(more)), _as_argument(more))
@@ -515,6 +540,10 @@ def _in_python(one: Parameter) -> str:
 def _with(result: "FitResult", wanted: list[Parameter]) -> tuple[float, int]:
     """Least deviance with these parameters, and how many more they are."""
     m, front = result.measurements, result.parameters.front
+    if m.is_sequence:
+        problem = make_problem(m, parameter_set(m, wanted, BlockSequence(m)), result.problem.loss, m.stated_sigma)
+        problem = gathered(problem, result.request["seed"])
+        return 2 * float(problem(first_look(problem, 0)[None]).value[0]), problem.p - result.problem.p
     q = parameter_set(m, wanted, front)
     problem = make_problem(m, q, result.problem.loss, result.sigma)
     value = minimise(problem, _starts(result, q), q.low, q.high, max_steps=MOST_STEPS).value
@@ -545,7 +574,7 @@ def _offered(result: "FitResult", tried: Iterable[tuple[float, int, str]]) -> li
 
     If that is accepted, or falls to a fifth per degree of freedom.
     """
-    least = IMPROBABLE if (result.p_value or 0.0) < IMPROBABLE else SCATTERED
+    least = IMPROBABLE if (result.p_value or 0.0) < result.problem.improbable else SCATTERED
     most, found = 0.2 * result.deviance / (result.testable_dof or 1), []
     for deviance, more, text in tried:
         dof = (result.testable_dof or 0) - more

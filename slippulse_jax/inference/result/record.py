@@ -36,7 +36,7 @@ Record = TypeVar("Record")
 
 SCHEMA = 2
 """Version of the record: larger where its form has changed. That of version 0.2 of the package, 1, is read too."""
-SETTINGS = ("loss", "sigma", "method", "max_steps", "seed", "intervals", "event", "body")
+SETTINGS = ("loss", "sigma", "method", "max_steps", "seed", "intervals", "event", "body", "model_error")
 """Arguments of a fit that a request holds beside its parameters."""
 LARGEST = 64 * 2**20
 """Bytes of the largest request or saved fit that is read."""
@@ -168,7 +168,7 @@ def of_dict(kind: type[Record], content: dict[str, Any]) -> tuple[Record, dict[s
     q = checked(m, wanted, request["event"], request["body"])
     problem = make_problem(m, q, request["loss"], m.stated_sigma)
     if m.is_sequence:  # surfaces as they were
-        problem = dataclasses.replace(gathered(problem, request["seed"]), parameters=q)
+        problem = dataclasses.replace(gathered(problem, request["seed"], request.get("model_error")), parameters=q)
     if content.get("between_contacts") is not None:
         problem = problem.widened(np.array(content["between_contacts"], dtype=float))
     if content.get("scatter") is not None:

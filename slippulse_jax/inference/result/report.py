@@ -12,19 +12,27 @@ import numpy as np
 from scipy.special import ndtr
 
 from slippulse_jax.block import USUAL_NORMAL_STIFFNESS
-from slippulse_jax.inference.model.fronts import ENDED, ROUGHNESS, BlockSequence
+from slippulse_jax.inference.model.fronts import ENDED, BlockSequence
 from slippulse_jax.inference.model.parameters import OF_MEASURING, STIFFNESSES, Free
-from slippulse_jax.inference.result.changes import END, MANY, MOST_CONTACTS, NARROW_PUSHER, NORMAL, Change, of_inputs
+from slippulse_jax.inference.result.changes import (
+    END,
+    MANY,
+    MOST_CONTACTS,
+    NARROW_PUSHER,
+    NORMAL,
+    Change,
+    of_inputs,
+    size_from_scatter,
+)
 from slippulse_jax.inference.result.verdict import (
     GIVEN,
     GRAVITY,
     PLATEAU,
-    SCATTERED,
     Identifiability,
     whole_events,
 )
 from slippulse_jax.inference.search.intervals import LEVELS, Interval
-from slippulse_jax.inference.search.likelihood import IMPROBABLE
+from slippulse_jax.inference.search.likelihood import SCATTERED
 from slippulse_jax.inference.search.minima import SLACK
 from slippulse_jax.inference.table.columns import COLUMNS, READINGS, UNITS_OF_LENGTH
 from slippulse_jax.inference.table.measurements import Measurements
@@ -722,9 +730,9 @@ def _of_sigma(result: "FitResult") -> Iterator[str]:
         yield "no standard errors were given: equal errors were assumed, and their size taken from the scatter about the fit"
     elif result.scaled:
         yield f"the stated σ are taken as relative, and scaled by {result.scatter:.3g} to the scatter about the fit"
-    if result.p_value is not None and IMPROBABLE <= result.p_value < SCATTERED:
-        factor, relative = np.sqrt(result.misfit / (result.testable_dof or 1)), m.option("--sigma relative", 'sigma="relative"')
-        taken = f"; {relative} takes its size from the scatter" * result.problem.exact_values
+    if result.p_value is not None and result.problem.improbable <= result.p_value < SCATTERED:
+        factor = np.sqrt(result.misfit / (result.testable_dof or 1))
+        taken = f"; {size_from_scatter(m)} takes its size from the scatter" * result.problem.exact_values
         larger = f"σ would have to be {factor:.2g} times as large{taken}"
         yield f"the scatter is larger than σ says (p = {result.p_value:.2g}): {larger}"
     if result.problem.loss != "normal":
@@ -810,15 +818,11 @@ def _of_model(result: "FitResult") -> Iterator[str]:
     """
     m, front = result.measurements, result.parameters.front
     if isinstance(front, BlockSequence):
-        if front.model_error > ROUGHNESS:
-            yield (
-                f"the forces lie farther from the fit than their errors say: the error of the model is taken from them, "
-                f"{front.model_error:.2g} μF_N instead of {ROUGHNESS:g}; thresholds that scatter between contacts do that "
-                "(by 5 % they also moved the stiffness, by -6 to +20 % in eight studies)"
-            )
+        of_model = f", and {front.model_error:.2g} μF_N for what the model leaves out" if front.model_error else ""
+        taken = ", taken from how far the forces lie from the fit" if front.error_is_fitted else ""
         yield (
-            f"σ of every force contains that of the model, {front.model_error:.2g} μF_N for the order of breaks (twice that "
-            "where the front spans), and that of its place"
+            "σ of every force contains that of its place, and how far single series lie from their trend, by the order of "
+            f"breaks and by chance{of_model}{taken}"
         )
         if m.machine_stiffness is None:
             yield "not tried: a machine that gives way (column machine_stiffness), contacts that age (newborn, time_constant)"

@@ -235,7 +235,7 @@ def simulated(result: "FitResult", count: int, rng: np.random.Generator) -> Prob
         sigma = data.sigma
         student = problem.loss == "student"
         noise = rng.standard_t(STUDENT_DOF, (count, len(mu))) if student else rng.standard_normal((count, len(mu)))
-        drawn = mu + sigma * noise
+        drawn = mu + (sigma * noise if data.turn is None else np.linalg.solve(data.turn, noise.T).T)
         whole, beyond = data.kind == "whole", data.kind == "at_least"
         drawn = np.where(whole, np.maximum(np.ceil(drawn), 1), drawn)
         every.append((np.where(beyond, data.value[0], drawn), np.ones((count, len(mu)))))

@@ -10,13 +10,11 @@ from scipy.special import chdtrc
 
 from slippulse_jax.inference.model.parameters import STIFFNESSES, Free, ParameterSet
 from slippulse_jax.inference.search.intervals import LEVELS, Interval, Intervals, rise_of
-from slippulse_jax.inference.search.likelihood import IMPROBABLE, Problem
+from slippulse_jax.inference.search.likelihood import Problem
 from slippulse_jax.inference.search.minima import SLACK, Curve, Found
 from slippulse_jax.inference.table.measurements import Measurements
 from slippulse_jax.shown import format_number
 
-SCATTERED = 0.05
-"""Probability of χ², or of the largest pull, below which the report remarks on it."""
 UNCHANGED = "at that maximum the length does not change with stiffness"
 COVERED = (0.64, 0.93)
 """Shares of simulated estimates within 1 and 1.96 standard errors below which no standard error is given."""
@@ -89,7 +87,9 @@ def _of_fit(problem: Problem, found: Found, j: int) -> Iterator[Verdict]:
         yield Verdict(Identifiability.NOT_CONVERGED, f"a start {found.unconverged[0][1]}")
     if not problem.predict(found.theta).any():
         yield Verdict(Identifiability.UNINFORMATIVE, "nothing in the range searched starts a domino: every length is zero")
-    if p_value is not None and p_value < IMPROBABLE and not _above_maximum(problem, found):  # of which `_of_range` says more
+    if (
+        p_value is not None and p_value < problem.improbable and not _above_maximum(problem, found)
+    ):  # of which `_of_range` says more
         at = f" (the best fit lies at its {end} end)" if (end := _end(problem, found.theta, j)) else ""
         misfit = format_number(found.deviance - problem.perfect, 3)
         told = f"{misfit}{problem.from_priors(found.theta)}{problem.tested(p_value, dof)}"

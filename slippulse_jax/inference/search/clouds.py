@@ -1,81 +1,78 @@
 """Clouds of series for a fit of sequences.
 
-A scan of the range searched comes first, then clouds about the minima. Each round fits surfaces to the series around the
-lowest ones, minimises the deviance on each, and follows more series around its minimum: over the errors known so far, and
-never over less than the half-widths below which a slope would be that of single orders of breaks. In the end one surface is
-fitted to all series that these data allow.
+A scan of the range searched comes first; then, where several parameters trade, series that evolve along the valleys; then
+clouds about the minima. Each round fits a surface to the best series, minimises the deviance on it from several of them, and
+follows more series around its minima: over the errors known so far, and never over less than the half-widths below which a
+slope would be that of single orders of breaks.
 """
 
 import dataclasses
+from typing import Literal
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.special import chdtri
 from scipy.stats import qmc
 
-from slippulse_jax.inference.model.fronts import ROUGHNESS, BlockSequence
+from slippulse_jax.domains import check_choice, check_domain
+from slippulse_jax.inference.model.fronts import BlockSequence
 from slippulse_jax.inference.model.inputs import COMMON
 from slippulse_jax.inference.model.parameters import PARAMETERS, Free, ParameterSet
 from slippulse_jax.inference.model.sequence import UNITS
 from slippulse_jax.inference.search.likelihood import Problem
-from slippulse_jax.inference.search.minima import SLACK, Curve, describe
+from slippulse_jax.inference.search.minima import Curve, describe
 from slippulse_jax.inference.search.minimise import minimise
 
-SCANNED, RESCALED = 192, 64
+SCANNED, RESCALED = 160, 64
 """Series of the first scan, and those of it that are followed again with forces of the right size."""
-BASINS = 5, 3, 2, 2, 1, 1
+BASINS = 5, 3, 2, 2, 1
 """Most minima about which each round puts a cloud."""
-RADIUS = 6.0, 4.0, 3.0, 2.0, 2.0, 2.0
+RADIUS = 6.0, 4.0, 3.0, 2.0, 2.0
 """Size of the clouds of each round, in standard errors."""
-NARROWEST, WIDEST, FARTHEST = 1.5, 3.0, 8.0
-"""Half-width of a last surface: at least and at most in those of clouds, and in standard errors."""
-UNLIKELY, LARGEST_ERROR = 0.05, 0.05
-"""Probability of χ² below which the error of the model is taken from the data, and the largest that it may be, in μF_N."""
-TURNS = 4
-"""Turns in which a last surface and the errors that it gives are fitted to each other."""
+FITTED, FARTHEST = 100, 8.0
+"""Series through which a surface goes, for each parameter; and how far a minimum is sought from one, in half-widths."""
+NONE = 1e9
+"""Deviance of a series that does not reach all places."""
+LARGEST_ERROR = 0.2
+"""Largest error of the model, in μF_N, that is taken from data."""
+MEMBERS, GENERATIONS, FACTOR = 48, 3, 0.7
+"""Series that evolve together, generations for every parameter beyond two, and the factor of differences between them."""
+TURNS = 2
+"""Turns in which a minimum and the errors there are fitted to each other."""
 
 
-def gathered(problem: Problem, seed: int) -> Problem:
+def gathered(problem: Problem, seed: int, model_error: float | str | None = None) -> Problem:
     """Follow series wherever data may be met, and fit surfaces to them.
 
     Return the problem with the errors that forces have there, and the range in which series were followed.
     """
     front, q, stated = problem.parameters.front, problem.parameters, problem
     assert isinstance(front, BlockSequence)
+    if isinstance(model_error, str):
+        check_choice("model_error", model_error, Literal["fitted"])
+        front.error_is_fitted = True
+    elif model_error is not None:
+        check_domain("model_error", model_error, lambda x: (x >= 0) & (x <= 1), "in μF_N, must lie in [0, 1]")
+        front.model_error = model_error
     units, random = np.array([_unit(one) for one in q.free]), np.random.default_rng(seed)
     known = _scan(problem, seed)
     front.follow(q.inputs.at(known))
     more = _rescaled(stated, known)
-    front.follow(q.inputs.at(more))
-    known = np.concatenate([known, more])
-    deviance = _raw(stated, known)
+    if len(more):
+        front.follow(q.inputs.at(more))
+    known = _evolved(stated, np.concatenate([known, more]), units, random)
     for most, radius in zip(BASINS, RADIUS, strict=True):
-        starts = _apart(known[np.argsort(deviance, kind="stable")], 3 * units, most)
-        ends = [_minimum(stated, known, start, units) for start in starts]
+        front.fitted(best := _lowest(stated, known))
+        ends = [_minimum(stated, start, units) for start in _apart(known[best], 3 * units, most)]
         more = np.concatenate([_cloud(q, end, covariance, radius, units, random) for end, covariance in ends])
         front.follow(q.inputs.at(more))
         known = np.concatenate([known, more])
-        deviance = _raw(stated, known)
-    basins: list[tuple[float, np.ndarray, np.ndarray]] = []
-    for start in _apart(known[np.argsort(deviance, kind="stable")], 3 * units, BASINS[0]):
-        theta, covariance = _minimum(stated, known, start, units)
-        for _ in range(TURNS):
-            metric = WIDEST**2 * covariance + np.diag((NARROWEST * units) ** 2)
-            front.fitted([_tricube(known, theta, metric)[0]])
-            theta, covariance = _descended(with_errors(stated, theta), theta, np.sqrt(np.diag(metric)) / 2, units)
-        sized = with_errors(stated, theta)  # which a surface that fits the series badly makes large
-        value = 2 * float(sized(theta[None]).value[0] + np.log(sized.lengths.sigma).sum())
-        if not any(_off(theta, other, own) < 1 for _, other, own in basins):
-            basins.append((value, theta, WIDEST**2 * covariance + np.diag((NARROWEST * units) ** 2)))
-    basins.sort(key=lambda basin: basin[0])
-    basins = [basin for basin in basins if basin[0] <= basins[0][0] + SLACK]
-    front.fitted([_tricube(known, theta, metric)[0] for _, theta, metric in basins])
-    reach = [np.sqrt(np.diag(metric)) for *_, metric in basins]
-    ends = [np.stack([theta + side * half for (_, theta, _), half in zip(basins, reach, strict=True)]) for side in (-1, 1)]
-    low, high = np.maximum(q.low, ends[0].min(axis=0)), np.minimum(q.high, ends[1].max(axis=0))
+    front.fitted(best := _lowest(stated, known), tuned=True)
+    ends = [_minimum(stated, start, units)[0] for start in _apart(known[best], 3 * units, BASINS[0])]
+    theta = min(ends, key=lambda end: _deviance(stated, end))
+    low, high = np.maximum(q.low, (known[best] - units).min(axis=0)), np.minimum(q.high, (known[best] + units).max(axis=0))
     free = tuple(one._replace(low=a, high=b) for one, a, b in zip(q.free, low.tolist(), high.tolist(), strict=True))
     narrowed = dataclasses.replace(stated, parameters=dataclasses.replace(q, free=free))
-    return _widened(narrowed, basins[0][1])
+    return _sized(narrowed, theta, np.array(ends)) if front.error_is_fitted else with_errors(narrowed, theta)
 
 
 def within_reach(curve: Curve) -> Curve:
@@ -84,83 +81,76 @@ def within_reach(curve: Curve) -> Curve:
     return Curve(*(column[known[0] : known[-1] + 1] for column in curve)) if known.size else curve
 
 
-def _widened(problem: Problem, theta: np.ndarray) -> Problem:
-    """Enlarge the error of the model where forces scatter more.
+def _sized(problem: Problem, theta: np.ndarray, starts: np.ndarray) -> Problem:
+    """Take the error of the model from the data.
 
-    More than chance would have it; thresholds that scatter do that. It is the least error by which they match, unless that is
-    too large to be called one.
+    It is that with which χ² is what is expected. Where the largest is not enough χ² tests the model with that.
     """
-    front, q = problem.parameters.front, problem.parameters
+    front, q, degrees = problem.parameters.front, problem.parameters, problem.count - problem.p
     assert isinstance(front, BlockSequence)
 
-    def at(error: float) -> tuple[float, np.ndarray]:
+    def beyond(error: float) -> float:
         front.model_error = error
-        end = minimise(with_errors(problem, theta), theta[None], q.low, q.high)
-        return 2 * float(end.value[0]), end.theta[0]
+        return 2 * float(minimise(with_errors(problem, theta), starts, q.low, q.high).value.min()) - degrees
 
-    degrees = problem.count - problem.p
-    if degrees < 1 or at(ROUGHNESS)[0] <= chdtri(degrees, UNLIKELY) or at(LARGEST_ERROR)[0] > degrees:
-        front.model_error = ROUGHNESS
-        return with_errors(problem, theta)
-    found = brentq(lambda error: at(error)[0] - degrees, ROUGHNESS, LARGEST_ERROR, xtol=1e-5)
-    front.model_error = float(np.asarray(found))
+    if beyond(LARGEST_ERROR) > 0:
+        front.error_is_fitted = False
+    elif beyond(0.0) > 0:
+        front.model_error = float(np.asarray(brentq(beyond, 0.0, LARGEST_ERROR, xtol=1e-5)))
     return with_errors(problem, theta)
 
 
-def _off(theta: np.ndarray, centre: np.ndarray, metric: np.ndarray) -> np.ndarray:
-    """Distances from a centre, in half-widths."""
-    off = theta - centre
-    return np.sqrt(np.einsum("...i,ij,...j->...", off, np.linalg.inv(metric), off))
+def _lowest(problem: Problem, known: np.ndarray) -> np.ndarray:
+    """The series through which a surface is fitted, the best first."""
+    deviance = _raw(problem, known)
+    best = np.argsort(deviance, kind="stable")[: FITTED * problem.p]
+    best = best[deviance[best] < NONE]
+    if len(best) < 2 * (problem.p + 1):
+        raise ValueError(
+            f"{problem.measurements.source}: of {len(known)} series in the range searched {len(best)} reach all places: these "
+            "forces cannot come from this model"
+        )
+    return best
 
 
-def _tricube(known: np.ndarray, centre: np.ndarray, metric: np.ndarray) -> tuple[np.ndarray, float]:
-    """Weights that fall to 0 at an ellipsoid, and its size.
+def _deviance(stated: Problem, theta: np.ndarray) -> float:
+    """−2 ln of the likelihood, with the errors at θ, which differ."""
+    sized = with_errors(stated, theta)
+    assert sized.lengths.turn is not None
+    return 2 * float(sized(theta[None]).value[0] - np.log(np.diag(sized.lengths.turn)).sum())
 
-    Larger than asked for where too few series lie within.
+
+def _minimum(stated: Problem, start: np.ndarray, units: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Minimum near a start, with the errors there, and its covariance.
+
+    Its errors are no larger than a cloud may be wide.
     """
-    p, off = len(centre), _off(known, centre, metric)
-    reach = max(1.01 * float(np.sort(off)[min(len(off), 2 * (p + 1) * (p + 2)) - 1]), 1.0)
-    return np.clip(1 - (off / reach) ** 3, 0, None) ** 3, reach
-
-
-def _minimum(stated: Problem, known: np.ndarray, start: np.ndarray, units: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Minimum of a surface around a start, and the covariance there."""
-    front = stated.parameters.front
-    assert isinstance(front, BlockSequence)
-    weight, reach = _tricube(known, start, np.diag((NARROWEST * units) ** 2))
-    front.fitted([weight])
-    return _descended(with_errors(stated, start), start, min(NARROWEST * reach, FARTHEST) * units, units)
-
-
-def _descended(problem: Problem, start: np.ndarray, reach: np.ndarray, units: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Minimum near a start, and its covariance.
-
-    Its errors are no larger than a surface may be wide.
-    """
-    q = problem.parameters
+    q, theta, reach = stated.parameters, start, FARTHEST * units
     box = np.maximum(q.low, start - reach), np.minimum(q.high, start + reach)
-    end = minimise(problem, start[None], *box, max_steps=20).theta[0]
-    covariance = describe(problem, end, 0.0).covariance
+    for _ in range(TURNS):
+        theta = minimise(with_errors(stated, theta), theta[None], *box, max_steps=20).theta[0]
+    covariance = describe(with_errors(stated, theta), theta, 0.0).covariance
     scale = np.sqrt(np.diag(covariance))
-    most = np.minimum(scale, np.maximum(FARTHEST / WIDEST * units, (q.high - q.low) / 12))
-    return end, covariance * np.outer(most / scale, most / scale)
+    most = np.minimum(scale, np.maximum(FARTHEST / 3 * units, (q.high - q.low) / 12))
+    return theta, covariance * np.outer(most / scale, most / scale)
 
 
 def with_errors(problem: Problem, theta: np.ndarray) -> Problem:
     """Add the errors of model and places, at θ, to forces."""
-    q = problem.parameters
-    off = q.front.uncertainty(q.inputs.at(theta))
-    assert off is not None
-    forces, *others = problem.observed
-    sigma = np.hypot(forces.sigma, off * np.exp(q.scales["reach"](theta)))
-    return dataclasses.replace(problem, observed=(forces._replace(sigma=np.where(np.isfinite(sigma), sigma, 1e3)), *others))
+    q, (forces, *others) = problem.parameters, problem.observed
+    assert isinstance(q.front, BlockSequence)
+    unit = np.exp(q.scales["reach"](theta))
+    covariance = np.diag(forces.sigma**2) + q.front.covariance(q.inputs.at(theta)) * np.outer(unit, unit)
+    sigma = np.sqrt(np.diag(covariance))
+    turn = np.linalg.inv(np.linalg.cholesky(covariance))
+    return dataclasses.replace(problem, observed=(forces._replace(sigma=sigma, turn=turn), *others))
 
 
 def _raw(problem: Problem, known: np.ndarray) -> np.ndarray:
     """Deviance of single series, each with its own errors."""
     q = problem.parameters
     assert isinstance(q.front, BlockSequence)
-    q.front.fitted([])
+    q.front.fitted(None)
     off = q.front.uncertainty(q.inputs.at(known).ravel())
     assert off is not None
     forces, *others = problem.observed
@@ -171,7 +161,26 @@ def _raw(problem: Problem, known: np.ndarray) -> np.ndarray:
     for data in others:
         total = total + (((problem.predict(known, data.observable) - data.value[0]) / data.sigma) ** 2).sum(axis=1)
     total = total + (problem.prior_weight * (known - problem.prior_mean[0]) ** 2).sum(axis=1)
-    return np.where(np.isfinite(total), total, 1e9)
+    return np.where(np.isfinite(total), total, NONE)
+
+
+def _evolved(problem: Problem, known: np.ndarray, units: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """More series along the valleys where several parameters trade.
+
+    By differential evolution (Storn and Price), in which a series is replaced by a better one near it.
+    """
+    q, front = problem.parameters, problem.parameters.front
+    assert isinstance(front, BlockSequence)
+    member = np.argsort(_raw(problem, known), kind="stable")[:MEMBERS]
+    for _ in range(GENERATIONS * (problem.p - 2)):
+        here = known[member]
+        step = FACTOR * (random.permutation(here) - random.permutation(here)) + random.uniform(-0.5, 0.5, here.shape) * units
+        front.follow(q.inputs.at(np.clip(here + step, q.low, q.high)))
+        known = np.concatenate([known, np.clip(here + step, q.low, q.high)])
+        deviance = _raw(problem, known)
+        born = len(known) - len(member) + np.arange(len(member))
+        member = np.where(deviance[born] < deviance[member], born, member)
+    return known
 
 
 def _rescaled(problem: Problem, known: np.ndarray) -> np.ndarray:

@@ -1,0 +1,152 @@
+"""How often fits of sequences hold the truth, on forces and lengths of an independent finite-element program.
+
+Every study is another block of H/λc 30–40, 2.5 to 3.5 heights long, with b from 0.3 to 3, a friction of 0.2–0.5, and a pusher of
+0.1 H at 0.1–0.25 H. Forces have errors of 1 %; places 0.5 %, arrests of numbered events 3 %. Kinds:
+
+places      forces at ten places and at the end; stiffness and friction fitted
+load        the same, with the normal load fitted too
+ageing      the same of contacts that age; newborn and time_constant fitted too
+events      events that advance by more than 1.5 contacts
+scattered   thresholds that scatter by 5 %, fitted with threshold_scatter = 0.05
+uniform     the same, fitted as if they did not scatter
+fitted      the same as uniform, with model_error = "fitted"
+
+Run: python -m benchmarks sequence_coverage [studies, 100 by default] [kind …] [--seed N]
+"""
+
+import argparse
+import sys
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+import slippulse_jax as sp
+from benchmarks.fit_coverage import Share, holds
+from slippulse_jax.inference.fit import FitResult
+from slippulse_jax.inference.result.verdict import Identifiability
+from slippulse_jax.inference.search.intervals import LEVELS
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "fit_examples"))
+
+import independent_block  # pyright: ignore[reportMissingImports]
+import independent_sequence  # pyright: ignore[reportMissingImports]
+
+HEIGHT, YOUNG, POISSON, NORMAL, LOAD, WIDTH, PUSHER = 30.0, 3.0, 0.3, 1.2, 1000.0, 10.0, 0.1  # mm, GPa, N; k_n/k; over H
+OF_FORCE, OF_PLACE, OF_ARREST, SCATTER = 0.01, 0.005, 0.03, 0.05
+PLACES = np.linspace(0.1, 0.95, 10)
+KINDS = ("places", "load", "ageing", "events", "scattered", "uniform", "fitted")
+
+
+class Study(NamedTuple):
+    """A block, what is measured of it, and how it is fitted."""
+
+    table: dict[str, Any]
+    free: list[str]
+    options: dict[str, Any]
+    truth: dict[str, float]
+
+
+def study(kind: str, random: np.random.Generator) -> Study:
+    """Draw a block and what is measured of it."""
+    b, friction, at = np.exp(random.uniform(np.log(0.3), np.log(3))), random.uniform(0.2, 0.5), random.uniform(0.1, 0.25)
+    contacts, lengths = int(random.choice([30, 36, 40])), random.choice([2.5, 3.0, 3.5])
+    ageing = (random.uniform(0.3, 0.85), np.exp(random.uniform(np.log(0.4), np.log(3)))) if kind == "ageing" else None
+    sites, contact = round(lengths * contacts), HEIGHT / contacts
+    threshold = random.normal(1, SCATTER, sites) if kind in ("scattered", "uniform", "fitted") else 1.0
+    low, high = (at - PUSHER / 2) * contacts, (at + PUSHER / 2) * contacts
+    elastic = independent_block.responses(contacts, sites, low, high, b / (2 * (1 + POISSON) * contacts), POISSON, NORMAL)
+    events = independent_sequence.sequence(*elastic, friction, threshold, ageing)
+    if kind == "events":
+        events = independent_sequence.visible(events)
+    reached = np.minimum(np.maximum.accumulate([event.length for event in events]), sites)
+    forces = np.array([event.force for event in events])
+    place = reached if kind == "events" else np.append(PLACES, 1.0) * sites
+    force = friction * LOAD * forces[np.searchsorted(reached, place - 1e-9)]
+    spans, error = place >= sites, (OF_ARREST if kind == "events" else OF_PLACE) * place
+    noise = random.standard_normal((2, place.size))
+    measured = np.where(spans, place, np.minimum(place + error * noise[0], sites))
+    table = {
+        "height_mm": HEIGHT, "block_length_mm": sites * contact, "block_width_mm": WIDTH,
+        "correlation_length_um": 1e3 * contact, "poisson": POISSON, "young_GPa": YOUNG, "normal_stiffness": NORMAL,
+        "push_height_mm": at * HEIGHT, "push_width_mm": PUSHER * HEIGHT, "force_N": force * (1 + OF_FORCE * noise[1]),
+        "force_sigma_N": OF_FORCE * force, "length_mm": measured * contact,
+        "length_sigma_mm": np.where(spans, np.nan, error * contact), "spans": np.where(spans, "yes", "no"),
+    }  # fmt: skip
+    table |= {} if kind == "load" else {"normal_load_N": LOAD}
+    table |= {"event": 1 + np.arange(place.size)} if kind == "events" else {}
+    free, truth = ["stiffness", "friction"], {"areal_stiffness": b * YOUNG * 1e9 / (2 * (1 + POISSON) * HEIGHT * 1e-3)}
+    truth["friction"] = friction
+    if kind == "load":
+        truth["normal_load"] = LOAD / (WIDTH * 1e-3)
+    if ageing is not None:
+        truth |= dict(zip(("newborn", "time_constant"), ageing, strict=True))
+    options = {"scattered": {"fixed": {"threshold_scatter": SCATTER}}, "fitted": {"model_error": "fitted"}}
+    return Study(table, free + [*truth][2:], options.get(kind, {}), truth)
+
+
+class Tally:
+    """What became of the fits of one kind."""
+
+    def __init__(self) -> None:
+        self.held: dict[str, list[list[bool]]] = {}
+        self.pulls: dict[str, list[float]] = {}
+        self.far, self.refused, self.large, self.count = 0, 0, 0, 0
+
+    def add(self, found: FitResult, truth: dict[str, float]) -> None:
+        """Compare a fit with the truth."""
+        self.count += 1
+        self.refused += found.identifiability is Identifiability.POOR_FIT
+        self.large += getattr(found.parameters.front, "model_error", 0.0) >= 0.02
+        if found.identifiability is Identifiability.POOR_FIT:
+            return
+        for name, true in truth.items():
+            within = [holds(found.intervals[name][level], true) for level in LEVELS]
+            self.held.setdefault(name, []).append(within)
+            error = found.stderrs[name]
+            if error is not None:
+                self.pulls.setdefault(name, []).append((found.values[name] - true) / error)
+                self.far += abs(self.pulls[name][-1]) > 3
+
+    def show(self, kind: str) -> None:
+        """Print a table."""
+        print(f"\n{kind}: {self.count} studies, {self.refused} refused by χ², {self.large} with a model error of 0.02 or more")
+        for name, held in self.held.items():
+            shares = ", ".join(
+                f"{level:.0%} {Share(int(sum(x)), len(x))}" for level, x in zip(LEVELS, zip(*held, strict=True), strict=True)
+            )
+            pulls = np.array(self.pulls.get(name, [np.nan]))
+            quarters = np.quantile(pulls, [0.25, 0.75])
+            print(
+                f"  {name:16} intervals hold the truth: {shares}; {pulls.size} standard errors, pulls {pulls.mean():+.2f}, spread "
+                f"{pulls.std():.2f} ({np.ptp(quarters) / 1.349:.2f} by quartiles)"
+            )
+        print(f"  {self.far} numbers off by more than three of their errors")
+
+
+def coverage(studies: int, kind: str, seed: int = 0) -> Tally:
+    """Fit so many studies of a kind."""
+    tally = Tally()
+    for number in range(studies):
+        one = study(kind, np.random.default_rng([seed, number]))
+        tally.add(sp.fit(pd.DataFrame(one.table), one.free, **one.options), one.truth)
+    return tally
+
+
+def main() -> None:
+    """Print the tables."""
+    asked = argparse.ArgumentParser(description="Coverage of fits of sequences.")
+    asked.add_argument("studies", nargs="?", type=int, default=100)
+    asked.add_argument("kinds", nargs="*", metavar="kind", help=f"of {', '.join(KINDS)}; all by default")
+    asked.add_argument("--seed", type=int, default=0)
+    given = asked.parse_args()
+    for kind in given.kinds or KINDS:
+        began = time.perf_counter()
+        coverage(given.studies, kind, given.seed).show(kind)
+        print(f"  {time.perf_counter() - began:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()
