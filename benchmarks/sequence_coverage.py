@@ -11,7 +11,7 @@ scattered   thresholds that scatter by 5 %, fitted with threshold_scatter = 0.05
 uniform     the same, fitted as if they did not scatter
 fitted      the same as uniform, with model_error = "fitted"
 
-Run: python -m benchmarks sequence_coverage [studies, 100 by default] [kind …] [--seed N]
+Run: python -m benchmarks sequence_coverage [kind …] [--studies N, 100 by default] [--seed N]
 """
 
 import argparse
@@ -138,7 +138,7 @@ def coverage(studies: int, kind: str, seed: int = 0) -> Tally:
 def main() -> None:
     """Print the tables."""
     asked = argparse.ArgumentParser(description="Coverage of fits of sequences.")
-    asked.add_argument("studies", nargs="?", type=int, default=100)
+    asked.add_argument("--studies", type=int, default=100)
     asked.add_argument("kinds", nargs="*", metavar="kind", help=f"of {', '.join(KINDS)}; all by default")
     asked.add_argument("--seed", type=int, default=0)
     given = asked.parse_args()

@@ -24,7 +24,7 @@ from slippulse_jax.inference.model.parameters import (
 from slippulse_jax.inference.result import record
 from slippulse_jax.inference.result.result import FitResult
 from slippulse_jax.inference.result.verdict import judge
-from slippulse_jax.inference.search.clouds import gathered, within_reach
+from slippulse_jax.inference.search.clouds import gathered, refuse_model_error, within_reach
 from slippulse_jax.inference.search.intervals import (
     LEVELS,
     Interval,
@@ -232,8 +232,7 @@ def _gathered(problem: Problem, seed: int, model_error: float | str | None, sigm
                 "sigma = 'relative': a sequence has errors of the model too: model_error = \"fitted\" takes their size"
             )
         return gathered(problem, seed, model_error)
-    if model_error is not None:
-        raise ValueError("model_error: of forces of a sequence; beside lengths give a prior of model_factor")
+    refuse_model_error(model_error)
     return problem
 
 

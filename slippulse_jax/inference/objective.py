@@ -5,7 +5,7 @@ import functools
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,7 @@ from slippulse_jax.inference.choices import Body, Loss, MeasuredEvent
 from slippulse_jax.inference.model.check import checked
 from slippulse_jax.inference.model.fronts import Front
 from slippulse_jax.inference.model.parameters import Parameter, wanted_parameters, with_errors_of_measuring
-from slippulse_jax.inference.search.clouds import gathered
+from slippulse_jax.inference.search.clouds import gathered, refuse_model_error
 from slippulse_jax.inference.search.likelihood import Problem, make_problem
 from slippulse_jax.inference.search.minima import lowest_look
 from slippulse_jax.inference.table.measurements import Measurements, measurements_of
@@ -86,12 +86,13 @@ def objective(
     loss: Loss = "normal",
     event: MeasuredEvent | Front | None = None,
     body: Body | None = None,
+    model_error: float | Literal["fitted"] | None = None,
 ) -> Objective:
     """Return the function that `fit` minimises.
 
     Parameters
     ----------
-    measurements, free, bounds, fixed, loss, event, body
+    measurements, free, bounds, fixed, loss, event, body, model_error
         As for `fit`, with priors, counts, limits, gauges, several specimens and offsets. Every length needs its σ.
 
     Returns
@@ -121,4 +122,7 @@ def objective(
     check_choice("loss", loss, Loss)
     wanted = with_errors_of_measuring(m, wanted_parameters(free, bounds, fixed), size_known=True)
     problem = make_problem(m, checked(m, wanted, event, body), loss, m.stated_sigma)
-    return Objective(gathered(problem, seed=0) if m.is_sequence else problem)
+    if m.is_sequence:
+        return Objective(gathered(problem, 0, model_error))
+    refuse_model_error(model_error)
+    return Objective(problem)

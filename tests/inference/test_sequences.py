@@ -10,10 +10,13 @@ from scipy.stats import multivariate_normal
 
 import slippulse_jax as sp
 from benchmarks import sequence_coverage
+from slippulse_jax.inference.model.check import checked
 from slippulse_jax.inference.model.fronts import BlockSequence
 from slippulse_jax.inference.model.sequence import CONTACTS, GEOMETRY, SITES, Cloud, Surface, followed
 from slippulse_jax.inference.result.samples import simulated
 from slippulse_jax.inference.result.verdict import Identifiability
+from slippulse_jax.inference.search.clouds import _sized
+from slippulse_jax.inference.search.likelihood import make_problem
 from slippulse_jax.inference.table.columns import MeasurementError
 
 HEIGHT, LENGTHS, AT, WIDE = 36, 3.0, 0.15, 0.1
@@ -110,6 +113,7 @@ def test_a_bad_table_is_named(changed, message):
         (None, {"model_error": -0.01}, "model_error = -0.01"),
         (None, {"model_error": float("nan")}, "model_error = nan"),
         (None, {"sigma": "relative"}, "sigma = 'relative': .*model_error"),
+        (None, {"loss": "student"}, "loss = 'student': forces of a sequence err together"),
         (None, {"event": "full", "free": "stiffness"}, "force_N beside push_height_mm"),
         (None, {"fixed": {"model_factor": 1.0}}, "parameter model_factor: of lengths"),
     ],
@@ -329,6 +333,14 @@ def test_thresholds_that_scatter():
     assert "taken from how far the forces lie" in loose.report()
 
 
+def test_nothing_to_take_an_error_from():
+    """As many data as parameters; and a bootstrap of rows that err together."""
+    m = sp.Measurements.from_dataframe(table_of(0.8, 0.35)[3:5])
+    problem = make_problem(m, checked(m, BOTH), "normal", m.stated_sigma)
+    with pytest.raises(ValueError, match="2 data for 2 fitted parameters leave nothing"):
+        _sized(problem, problem.parameters.low, problem.parameters.low[None])
+
+
 @pytest.mark.ci
 def test_a_stated_error_of_the_model(places, tmp_path):
     """Widens intervals, is kept in a file, and has no meaning beside lengths."""
@@ -339,7 +351,7 @@ def test_a_stated_error_of_the_model(places, tmp_path):
     wide.save(path)
     again = sp.load_fit(path)
     assert again.report() == wide.report()
-    np.testing.assert_allclose(again.problem.lengths.turn, wide.problem.lengths.turn, rtol=1e-9)
+    np.testing.assert_allclose(again.problem.lengths.whitening, wide.problem.lengths.whitening, rtol=1e-9)
     with pytest.raises(ValueError, match="model_error: of forces of a sequence"):
         sp.fit(sp.Measurements([20.0, 35.0], 0.3, [12.7, 24.6], 0.3), model_error=0.01)
 
@@ -348,7 +360,7 @@ def test_errors_of_neighbours_go_together(places):
     """−ln p is that of a multivariate normal distribution, as SciPy has it; Fisher's information and draws likewise."""
     problem, theta = places.problem, places.theta
     data = problem.lengths
-    covariance = np.linalg.inv(data.turn.T @ data.turn)
+    covariance = np.linalg.inv(data.whitening.T @ data.whitening)
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), data.sigma, rtol=1e-9)
     assert (covariance / np.outer(data.sigma, data.sigma))[-2, -1] > 0.1  # of one event, mostly
     other = theta + np.array([0.02, -0.003])
@@ -363,6 +375,14 @@ def test_errors_of_neighbours_go_together(places):
     np.testing.assert_allclose(
         problem(other[None], order=2).metric[0], problem.jacobian(other).T @ problem.jacobian(other), rtol=1e-6
     )
+    # a datum that is left out: the density of the others
+    left = problem.with_replicates([(data.value, np.arange(len(data.sigma))[None] != 9)], problem.prior_mean)
+    others = np.delete(np.arange(len(data.sigma)), 9)
+    off = (problem.predict(other)[0] - data.value[0])[others]
+    expected = off @ np.linalg.solve(covariance[np.ix_(others, others)], off) / 2
+    assert float(left(other[None]).value[0]) == pytest.approx(expected, rel=1e-6)
+    with pytest.raises(ValueError, match="kind = 'case'"):
+        places.bootstrap(10, kind="case")
     drawn = simulated(places, 4000, np.random.default_rng(0)).lengths.value
     np.testing.assert_allclose(
         np.cov(drawn.T) / np.outer(data.sigma, data.sigma), covariance / np.outer(data.sigma, data.sigma), atol=0.1

@@ -640,8 +640,10 @@ class BlockEvent(Front):
 
 
 ROUGHNESS = 0.01
-"""How far the forces by place of a single series lie from the trend, in μF_N, until a surface tells."""
+"""How far forces by place of a single series lie from the trend, in μF_N: to rank series before there is a surface."""
 
+APART = 1_000_000
+"""Between the numbers from which thresholds of two sequences are drawn."""
 STEP = 1e-3
 """Step of θ over which curves of the numbers of a series are differences."""
 NEAR = 0.6
@@ -677,6 +679,7 @@ class BlockSequence(BlockEvent):
     thresholds: str = "thresholds that follow the pressure"
     model_error: float = 0.0  # of a force, in μF_N, beyond the order of breaks and places
     error_is_fitted: bool = False
+    continued: bool = True  # whether every other series of a block of very many contacts has fewer
 
     def __init__(self, m: Measurements, **_: bool) -> None:
         none = np.zeros(len(m), int)
@@ -783,7 +786,7 @@ class BlockSequence(BlockEvent):
         """
         own = np.exp(inputs.get("log_sites")[:, row])
         alike = inputs.get("threshold_scatter")[:, row] == 0
-        fewer = alike & (np.arange(len(own)) % 2 == 1)
+        fewer = alike & (np.arange(len(own)) % 2 == 1) & self.continued
         sites = np.where(own <= SITES, own, np.where(fewer, COARSER, SITES))
         return sites, np.where(alike, 1 / sites - 1 / own, 0.0)
 
@@ -795,7 +798,7 @@ class BlockSequence(BlockEvent):
             numbers = every[:, rows[0]]
             top = "held" if inputs.get("top_held").flat[rows[0]] else "free"
             height = self._followed(inputs, rows[0])[0] / np.exp(numbers[:, GEOMETRY.index("log_ratio")])
-            of_block, first = len(GEOMETRY), len(self.clouds[group].numbers)
+            of_block, first = len(GEOMETRY), len(self.clouds[group].numbers) + APART * group
             yield rows, followed(numbers[:, :of_block], numbers[:, of_block:], height, top=top, first=first)
 
     def follow(self, inputs: Inputs) -> None:
@@ -830,7 +833,7 @@ class BlockSequence(BlockEvent):
             coordinates(self._numbers(Inputs.from_table(inputs.names, inputs.table() + side * STEP * along)))
             for side in (-1, 0, 1)
         ]
-        way, turn = (sides[2] - sides[0]) / (2 * STEP), (sides[2] - 2 * sides[1] + sides[0]) / STEP**2
+        way, bend = (sides[2] - sides[0]) / (2 * STEP), (sides[2] - 2 * sides[1] + sides[0]) / STEP**2
         found = np.zeros((3, len(way)))
         found[0] = self._read(inputs, uncertain=False)
         for here, group, distinct, own, column in self._columns(inputs, uncertain=False):
@@ -840,7 +843,7 @@ class BlockSequence(BlockEvent):
             w = way[here][:, surface.moving]
             found[1, here] = np.einsum("la,la->l", first, w)
             found[2, here] = np.einsum("lab,la,lb->l", second, w, w) + np.einsum(
-                "la,la->l", first, turn[here][:, surface.moving]
+                "la,la->l", first, bend[here][:, surface.moving]
             )
         return np.where(np.isfinite(found[0]) | (np.arange(3) == 0)[:, None], found, 0)
 
@@ -880,7 +883,7 @@ class BlockSequence(BlockEvent):
 
     def uncertainty(self, inputs: Inputs) -> np.ndarray | None:
         """Errors of forces of a single series over the normal load."""
-        return np.hypot(self._read(inputs, uncertain=True), max(self.model_error, ROUGHNESS) * inputs.get("friction"))
+        return np.hypot(self._read(inputs, uncertain=True), np.hypot(self.model_error, ROUGHNESS) * inputs.get("friction"))
 
     def covariance(self, inputs: Inputs) -> Float[np.ndarray, "n n"]:
         """Covariance of the errors of forces over the normal load.

@@ -42,8 +42,8 @@ NARROW, NARROW_PUSHER = 0.1, "0.1 H high"
 """Height over H of a pusher that may cover less than all of the side above, where the table does not say; and in words."""
 PRESSED, NORMAL = (0.3, 0.6), (1.0, 1.4)
 """Friction coefficients tried where a table of a block states none, and k_n/k where one with friction states none."""
-SCATTER = 0.05
-"""How thresholds of contacts are tried to scatter; twice what is held, if more."""
+SCATTER, MOST_SCATTER = 0.05, 0.29
+"""How thresholds of contacts are tried to scatter; twice what is held, if more, and at most this."""
 SERIES = 24
 """Series near a fit of sequences, over which what a change does to them is averaged."""
 MOST_STEPS = 25
@@ -108,7 +108,7 @@ def _of_sequence(result: "FitResult") -> Iterator[Change]:
         what = "k_n/k of {:g} or {:g}, for {:g} (column normal_stiffness states it)".format(*NORMAL, USUAL_NORMAL_STIFFNESS)
         sprung = [dataclasses.replace(m, normal_stiffness=np.full(len(m), ratio)) for ratio in NORMAL]
         yield Change("normal_stiffness", what, _shifted(result, sprung))
-    scatter = max(SCATTER, 2 * q.inputs.at(result.theta).get("threshold_scatter")[0])
+    scatter = min(max(SCATTER, 2 * q.inputs.at(result.theta).get("threshold_scatter")[0]), MOST_SCATTER)
     moves = _shifted(result, [m], _scattered(q.wanted, scatter))
     yield Change("threshold_scatter", f"thresholds that scatter by {100 * scatter:.2g} % from contact to contact", moves)
 
@@ -131,7 +131,8 @@ def _shifted(
     known = _data_of_series(problem, m, near, q.wanted)
     moves: dict[str, tuple[float, ...]] = dict.fromkeys(result.moved, ())
     for other in every:
-        off = np.nanmean(_data_of_series(problem, other, near, q.wanted if wanted is None else wanted) - known, axis=0)
+        off = _data_of_series(problem, other, near, q.wanted if wanted is None else wanted) - known
+        off = np.nanmean(np.where(np.isfinite(off), off, np.nan), axis=0)
         known_off = problem.in_errors(np.nan_to_num(off)[None])[0]
         by = -gain @ np.concatenate([known_off, np.zeros(len(jacobian) - len(off))])
         for one in moves:
@@ -143,6 +144,7 @@ def _data_of_series(problem: Problem, m: Measurements, theta: np.ndarray, wanted
     """What single series at θ give for the data of these measurements."""
     q = parameter_set(m, wanted, BlockSequence(m))
     assert isinstance(q.front, BlockSequence)
+    q.front.continued = False  # what a change does hardly depends on the size of contacts
     q.front.follow(q.inputs.at(theta))
     return make_problem(m, q, problem.loss, m.stated_sigma).predictions(theta)
 
@@ -542,7 +544,8 @@ def _with(result: "FitResult", wanted: list[Parameter]) -> tuple[float, int]:
     m, front = result.measurements, result.parameters.front
     if m.is_sequence:
         problem = make_problem(m, parameter_set(m, wanted, BlockSequence(m)), result.problem.loss, m.stated_sigma)
-        problem = gathered(problem, result.request["seed"])
+        error = result.request.get("model_error")
+        problem = gathered(problem, result.request["seed"], None if error == "fitted" else error)
         return 2 * float(problem(first_look(problem, 0)[None]).value[0]), problem.p - result.problem.p
     q = parameter_set(m, wanted, front)
     problem = make_problem(m, q, result.problem.loss, result.sigma)
@@ -564,8 +567,8 @@ def _outliers(result: "FitResult") -> Iterator[tuple[float, int, str]]:
     lane = np.repeat(np.arange(count), len(starts))
     value = minimise(without, np.tile(starts, (count, 1)), q.low, q.high, lane=lane, max_steps=MOST_STEPS).value
     best = int(np.argmin(value))
-    less = m.option("--loss student", 'loss="student"')
-    text = f"{m.place(int(suspects[lane[best]]))} is at odds with the others: check it, or let outliers count less: {less}"
+    less = "" if m.is_sequence else ", or let outliers count less: " + m.option("--loss student", 'loss="student"')
+    text = f"{m.place(int(suspects[lane[best]]))} is at odds with the others: check it{less}"
     yield 2 * float(value[best]), 1, text
 
 
@@ -574,11 +577,12 @@ def _offered(result: "FitResult", tried: Iterable[tuple[float, int, str]]) -> li
 
     If that is accepted, or falls to a fifth per degree of freedom.
     """
-    least = IMPROBABLE if (result.p_value or 0.0) < result.problem.improbable else SCATTERED
+    least = result.problem.improbable if (result.p_value or 0.0) < result.problem.improbable else SCATTERED
     most, found = 0.2 * result.deviance / (result.testable_dof or 1), []
     for deviance, more, text in tried:
         dof = (result.testable_dof or 0) - more
-        if dof > 0 and (chdtrc(dof, deviance) >= least or deviance / dof < most):
+        enough = least if more else IMPROBABLE  # where a scatter is held nothing more is fitted, and contacts are not alike
+        if dof > 0 and (chdtrc(dof, deviance) >= enough or deviance / dof < most):
             of = f"(chi-squared {format_number(deviance, 3)} for {plural(dof, 'degree')} of freedom)"
             found.append((deviance / dof, f"{text} {of}"))
     return [text for _, text in sorted(found)]

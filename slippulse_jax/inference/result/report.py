@@ -820,9 +820,11 @@ def _of_model(result: "FitResult") -> Iterator[str]:
     if isinstance(front, BlockSequence):
         of_model = f", and {front.model_error:.2g} μF_N for what the model leaves out" if front.model_error else ""
         taken = ", taken from how far the forces lie from the fit" if front.error_is_fitted else ""
+        if result.request.get("model_error") == "fitted" and not front.error_is_fitted:
+            taken = ", the largest that is taken from data, and not enough"
         yield (
             "σ of every force contains that of its place, and how far single series lie from their trend, by the order of "
-            f"breaks and by chance{of_model}{taken}"
+            f"breaks and by chance{of_model}{taken}; neighbours err together, so that χ² is not the sum of these squares"
         )
         if m.machine_stiffness is None:
             yield "not tried: a machine that gives way (column machine_stiffness), contacts that age (newborn, time_constant)"

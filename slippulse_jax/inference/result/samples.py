@@ -205,6 +205,8 @@ def bootstrap(result: "FitResult", count: int = 1000, *, kind: Bootstrap = "para
     check_choice("kind", kind, Bootstrap)
     if count < 2:
         raise ValueError(f"count = {count}: at least 2 refits are needed")
+    if kind == "case" and result.measurements.is_sequence:
+        raise ValueError("kind = 'case': forces of a sequence err together, and cannot be drawn one by one: use 'parametric'")
     if kind == "case" and len(result.measurements) < 2:
         raise ValueError("one measurement cannot be resampled: use kind = 'parametric'")
     rng = np.random.default_rng(seed)
@@ -235,7 +237,7 @@ def simulated(result: "FitResult", count: int, rng: np.random.Generator) -> Prob
         sigma = data.sigma
         student = problem.loss == "student"
         noise = rng.standard_t(STUDENT_DOF, (count, len(mu))) if student else rng.standard_normal((count, len(mu)))
-        drawn = mu + (sigma * noise if data.turn is None else np.linalg.solve(data.turn, noise.T).T)
+        drawn = mu + (sigma * noise if data.whitening is None else np.linalg.solve(data.whitening, noise.T).T)
         whole, beyond = data.kind == "whole", data.kind == "at_least"
         drawn = np.where(whole, np.maximum(np.ceil(drawn), 1), drawn)
         every.append((np.where(beyond, data.value[0], drawn), np.ones((count, len(mu)))))
@@ -282,8 +284,8 @@ def posterior(
     ValueError
         If the deviance of this fit is no −2 ln(likelihood), as σ was scaled.
     """
-    if result.scaled:
-        raise ValueError("a posterior needs a likelihood: sigma = 'absolute'")
+    if result.scaled or result.scatter_dof is not None:
+        raise ValueError("a posterior needs a likelihood: sigma = 'absolute', and of a sequence a model_error that is stated")
     _arviz()
     from numpyro.infer import MCMC, NUTS  # pyright: ignore[reportMissingImports]
 

@@ -30,8 +30,8 @@ RADIUS = 6.0, 4.0, 3.0, 2.0, 2.0
 """Size of the clouds of each round, in standard errors."""
 FITTED, FARTHEST = 100, 8.0
 """Series through which a surface goes, for each parameter; and how far a minimum is sought from one, in half-widths."""
-NONE = 1e9
-"""Deviance of a series that does not reach all places."""
+UNKNOWN = 1e9
+"""Error of a force off all series."""
 LARGEST_ERROR = 0.2
 """Largest error of the model, in μF_N, that is taken from data."""
 MEMBERS, GENERATIONS, FACTOR = 48, 3, 0.7
@@ -53,6 +53,8 @@ def gathered(problem: Problem, seed: int, model_error: float | str | None = None
     elif model_error is not None:
         check_domain("model_error", model_error, lambda x: (x >= 0) & (x <= 1), "in μF_N, must lie in [0, 1]")
         front.model_error = model_error
+    if problem.loss != "normal":
+        raise ValueError(f"loss = {problem.loss!r}: forces of a sequence err together, so that none can count less alone")
     units, random = np.array([_unit(one) for one in q.free]), np.random.default_rng(seed)
     known = _scan(problem, seed)
     front.follow(q.inputs.at(known))
@@ -75,6 +77,12 @@ def gathered(problem: Problem, seed: int, model_error: float | str | None = None
     return _sized(narrowed, theta, np.array(ends)) if front.error_is_fitted else with_errors(narrowed, theta)
 
 
+def refuse_model_error(model_error: float | str | None) -> None:
+    """Refuse an error of forces where there are lengths."""
+    if model_error is not None:
+        raise ValueError("model_error: of forces of a sequence; beside lengths give a prior of model_factor")
+
+
 def within_reach(curve: Curve) -> Curve:
     """The part of a profile with surfaces; its ends end no interval."""
     known = np.flatnonzero(np.isfinite(curve.deviance))
@@ -88,6 +96,10 @@ def _sized(problem: Problem, theta: np.ndarray, starts: np.ndarray) -> Problem:
     """
     front, q, degrees = problem.parameters.front, problem.parameters, problem.count - problem.p
     assert isinstance(front, BlockSequence)
+    if degrees < 1:
+        raise ValueError(
+            f'model_error = "fitted": {problem.count} data for {problem.p} fitted parameters leave nothing to take it from'
+        )
 
     def beyond(error: float) -> float:
         front.model_error = error
@@ -104,7 +116,7 @@ def _lowest(problem: Problem, known: np.ndarray) -> np.ndarray:
     """The series through which a surface is fitted, the best first."""
     deviance = _raw(problem, known)
     best = np.argsort(deviance, kind="stable")[: FITTED * problem.p]
-    best = best[deviance[best] < NONE]
+    best = best[np.isfinite(deviance[best])]
     if len(best) < 2 * (problem.p + 1):
         raise ValueError(
             f"{problem.measurements.source}: of {len(known)} series in the range searched {len(best)} reach all places: these "
@@ -116,8 +128,8 @@ def _lowest(problem: Problem, known: np.ndarray) -> np.ndarray:
 def _deviance(stated: Problem, theta: np.ndarray) -> float:
     """−2 ln of the likelihood, with the errors at θ, which differ."""
     sized = with_errors(stated, theta)
-    assert sized.lengths.turn is not None
-    return 2 * float(sized(theta[None]).value[0] - np.log(np.diag(sized.lengths.turn)).sum())
+    assert sized.lengths.whitening is not None
+    return 2 * float(sized(theta[None]).value[0] - np.log(np.diag(sized.lengths.whitening)).sum())
 
 
 def _minimum(stated: Problem, start: np.ndarray, units: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -141,9 +153,10 @@ def with_errors(problem: Problem, theta: np.ndarray) -> Problem:
     assert isinstance(q.front, BlockSequence)
     unit = np.exp(q.scales["reach"](theta))
     covariance = np.diag(forces.sigma**2) + q.front.covariance(q.inputs.at(theta)) * np.outer(unit, unit)
-    sigma = np.sqrt(np.diag(covariance))
-    turn = np.linalg.inv(np.linalg.cholesky(covariance))
-    return dataclasses.replace(problem, observed=(forces._replace(sigma=sigma, turn=turn), *others))
+    if not np.isfinite(covariance).all():  # off all series
+        covariance = np.diag(np.full(len(unit), UNKNOWN**2))
+    sigma, whitening = np.sqrt(np.diag(covariance)), np.linalg.inv(np.linalg.cholesky(covariance))
+    return dataclasses.replace(problem, observed=(forces._replace(sigma=sigma, whitening=whitening), *others))
 
 
 def _raw(problem: Problem, known: np.ndarray) -> np.ndarray:
@@ -161,7 +174,7 @@ def _raw(problem: Problem, known: np.ndarray) -> np.ndarray:
     for data in others:
         total = total + (((problem.predict(known, data.observable) - data.value[0]) / data.sigma) ** 2).sum(axis=1)
     total = total + (problem.prior_weight * (known - problem.prior_mean[0]) ** 2).sum(axis=1)
-    return np.where(np.isfinite(total), total, NONE)
+    return np.where(np.isfinite(total), total, np.inf)
 
 
 def _evolved(problem: Problem, known: np.ndarray, units: np.ndarray, random: np.random.Generator) -> np.ndarray:

@@ -42,6 +42,8 @@ EXACT = 1e-12
 
 SCATTERED = 0.05
 """Probability of χ², or of the largest pull, below which the report remarks on it."""
+LEFT_OUT = 1e12
+"""What the variance of a correlated datum that is left out is multiplied by."""
 IMPROBABLE = 1e-3
 """Probability of χ² below which model and σ do not describe the data."""
 
@@ -170,7 +172,7 @@ class Observations(NamedTuple):
     rows: np.ndarray  # (n,), which of them each datum has
     scale: Linear  # (n,), ln of the unit of the data in that of the model
     offset: Linear  # (n,)
-    turn: np.ndarray | None = None  # (n, n), which makes residuals of correlated errors independent, of σ = 1
+    whitening: np.ndarray | None = None  # (n, n), which makes residuals of correlated errors independent, of σ = 1
 
     def independent(
         self, lane: np.ndarray, mu: np.ndarray, *derivatives: np.ndarray | None
@@ -179,15 +181,24 @@ class Observations(NamedTuple):
 
         Themselves, or of correlated data their residuals.
         """
-        if self.turn is None:
+        if self.whitening is None:
             return self, mu, [*derivatives]
-        turn, root, value = self.turn, np.sqrt(self.weight[lane]), self.value[lane]
-        finite = np.isfinite(mu)
-        off = (root * (np.where(finite, mu, value) - value)) @ turn.T
-        off = np.where((finite | (root == 0)).all(axis=1, keepdims=True), off, np.inf)
-        turned = [x if x is None else np.einsum("ij,bj,bj...->bi...", turn, root, x) for x in derivatives]
-        ones = np.ones(self.value.shape)
-        return self._replace(value=0 * ones, sigma=ones[0], weight=ones, turn=None), off, turned
+        each, used = self._whitening()[lane], self.weight[lane] > 0
+        finite, value = np.isfinite(mu), self.value[lane]
+        off = np.einsum("bij,bj->bi", each, np.where(finite & used, mu, value) - value)
+        off = np.where((finite | ~used).all(axis=1, keepdims=True), off, np.inf)
+        white = [x if x is None else np.einsum("bij,bj...->bi...", each, x) for x in derivatives]
+        zero = np.zeros(self.value.shape)
+        return self._replace(value=zero, sigma=zero[0] + 1, weight=zero + 1, whitening=None), off, white
+
+    def _whitening(self) -> np.ndarray:
+        """That of every replicate, (R, n, n), some of whose data are left out."""
+        assert self.whitening is not None
+        if self.weight.all():
+            return np.broadcast_to(self.whitening, (len(self.weight), *self.whitening.shape))
+        left_out = np.where(self.weight > 0, 0.0, LEFT_OUT * self.sigma**2)
+        covariance = np.linalg.inv(self.whitening.T @ self.whitening)
+        return np.linalg.inv(np.linalg.cholesky(covariance + left_out[:, None] * np.eye(len(self.sigma))))
 
 
 def costs(mu: np.ndarray, data: Observations, lane: np.ndarray, loss: Loss) -> np.ndarray:
@@ -282,9 +293,8 @@ class Problem:
         the stiffness by many of its errors.
         """
         front = self.parameters.front
-        if not isinstance(front, BlockSequence) or front.model_error:
-            return IMPROBABLE
-        return IMPROBABLE if self.parameters.inputs.get("threshold_scatter").base.any() else SCATTERED
+        alike = isinstance(front, BlockSequence) and not self.parameters.inputs.get("threshold_scatter").base.any()
+        return SCATTERED if alike else IMPROBABLE
 
     def accepts(self, theta: np.ndarray, deviance: float, most: float = np.inf) -> bool:
         """Whether the data fit at a minimum.
@@ -471,8 +481,8 @@ class Problem:
         ends = np.cumsum([len(data.rows) for data in self.observed])[:-1]
         parts = zip(self.observed, np.split(off, ends, axis=1), strict=True)
         with np.errstate(invalid="ignore"):  # inf of a front that never stops
-            turned = [part / data.sigma if data.turn is None else part @ data.turn.T for data, part in parts]
-        return np.concatenate(turned, axis=1)
+            white = [part / data.sigma if data.whitening is None else part @ data.whitening.T for data, part in parts]
+        return np.concatenate(white, axis=1)
 
     def predict(self, theta: np.ndarray, observable: str = "length") -> np.ndarray:
         """Predictions for one observable, (B, n), in λc, m or N/m."""
@@ -540,8 +550,10 @@ def _traced(theta: Array, problem: Problem, data: Observations) -> Array:
         return found[data.rows] * jnp.exp(data.scale(theta)) + data.offset(theta)
 
     mu = by_forward_mode(predict)(theta)  # the loop over breaks has no other mode
-    if data.turn is not None:
-        return (jnp.square(data.turn @ (mu - data.value[0])) / 2).sum()
+    if data.whitening is not None:
+        finite = jnp.isfinite(mu)
+        off = data.whitening @ (jnp.where(finite, mu, data.value[0]) - data.value[0])
+        return jnp.where(finite.all(), jnp.square(off).sum() / 2, jnp.inf)
     total = jnp.zeros(())
     for kind in COSTS:
         there = np.nonzero(data.kind == kind)[0]
