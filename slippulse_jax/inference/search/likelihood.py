@@ -192,7 +192,7 @@ class Observations(NamedTuple):
         return self._replace(value=zero, sigma=zero[0] + 1, weight=zero + 1, whitening=None), off, white
 
     def _whitening(self) -> np.ndarray:
-        """That of every replicate, (R, n, n), some of whose data are left out."""
+        """`whitening` of every replicate, (R, n, n), without data left out."""
         assert self.whitening is not None
         if self.weight.all():
             return np.broadcast_to(self.whitening, (len(self.weight), *self.whitening.shape))
