@@ -411,13 +411,17 @@ def test_the_deviance_is_that_of_the_residuals_shown(name, worked):
     """And a report has room on a page: its box is no wider than its widest sentence allows, or a row of a table."""
     result = worked(name)
     if result.problem.plain:
-        parts = [(result.residuals**2).sum(), *((one.residuals**2).sum() for one in result.further)]
+        white = result.problem.lengths.whitening  # of forces of a sequence, which err together, as the report says
+        residuals = result.residuals if white is None else white @ (result.residuals * result.sigma)
+        assert (white is not None) == (name == "sequence")
+        parts = [(residuals**2).sum(), *((one.residuals**2).sum() for one in result.further)]
         for one, t in zip(result.parameters.free, result.theta, strict=True):
             parts.append(((t - one.prior_mean) / one.prior_sigma) ** 2 if np.isfinite(one.prior_sigma) else 0.0)
         assert result.deviance == pytest.approx(sum(parts), rel=1e-9, abs=1e-12)
     report = result.report()
     box = [line for line in report.splitlines() if line.startswith(("┌", "│", "└"))]
     values = 1 + len(result.names) + len(result.stiffness_ratios)
+    assert ("neighbours err together" in unfolded(report)) == (name == "sequence")
     assert max(map(len, box)) <= max(114, *(len(line.rstrip("│ ")) + 2 for line in box[1 : 1 + values]))
     if name == "pmma_block":
         assert len(report.splitlines()) <= 30
