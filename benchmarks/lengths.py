@@ -1,4 +1,4 @@
-"""Lengths in bulk: prints ratios, and writes benchmarks/lengths.json, docs/evidence/benchmarks.md and a figure.
+"""Lengths in bulk: prints ratios, and writes benchmarks/lengths.json, docs/appendix/benchmarks.md and a figure.
 
 ``python -m benchmarks lengths`` runs everything; ``python -m benchmarks lengths points heights`` some parts, the others being
 taken from the file. Where other programs were running, the page says so.
@@ -26,7 +26,7 @@ from slippulse_jax.lengths import LENGTHS
 HERE = Path(__file__).resolve().parent
 RESULTS, PAGE, FIGURE = (
     HERE / "lengths.json",
-    HERE.parent / "docs" / "evidence" / "benchmarks.md",
+    HERE.parent / "docs" / "appendix" / "benchmarks.md",
     HERE.parent / "docs" / "pictures" / "benchmarks.png",
 )
 GRADIENTS = "this package, with all three derivatives"
@@ -180,7 +180,7 @@ def page(found: dict) -> str:
         *(f"| {n} | {t:.2g} | {1e6 * t / n:.3g} | {1e6 * o / n:.3g} |" for n, t, o in zip(*found["counts"].values(), strict=True)), "",
         *_flat(found["counts"]),
         *_start(found),
-        "On a GPU: [Use a GPU](../howto/gpu.md).", "",
+        "On a GPU: [Use a GPU](../appendix/gpu.md).", "",
     ]  # fmt: skip
     return "\n".join(lines)
 

@@ -11,7 +11,7 @@ where there is a prestress. For the stress alone,
     t(s) = Σ_j c_j Σ_ka τ^j_ka μ^s,    τ_ka = [g_1 (μ − r_2) + g_2 (μ − r_1)] / [(μ − ρ_1)(μ − ρ_2)],
     g_1 = r_1 (R_11 τ_{k−1,a−2} + R_12 τ_{k−1,a−1}),    g_2 = r_2 (R_21 τ_{k−1,a−1} + R_22 τ_{k−1,a}),
 
-with amplitudes c_j from t(0) and t(1) − t(0). `docs/model/exact_solution.md` derives all of it.
+with amplitudes c_j from t(0) and t(1) − t(0). `docs/appendix/exact_solution.md` derives all of it.
 
 **Lanes are last** in every array, in as many axes as the caller likes: none for one front. The table of a lane ends at the
 first row k whose moduli add up to less than `ROW_TOLERANCE` of the first row's; from there on it has rows of zeros, so that a

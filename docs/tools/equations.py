@@ -134,7 +134,7 @@ HEADER = """# Index of the paper's equations
 
 Written by `docs/tools/generate_pages.py` from the code; a test fails where an equation has no function or no test. Labels are
 those of the paper's LaTeX source. Numbers count the equations as typeset, the Appendix from 26 on; the two lattice equations
-have no number, and a label only in a comment. Where the paper errs ([errata](../evidence/errata.md)), the function computes the
+have no number, and a label only in a comment. Where the paper errs ([errata](../appendix/errata.md)), the function computes the
 corrected form.
 
 | number | label | what | computed by | checked by |

@@ -92,7 +92,7 @@ def differences() -> list[Difference]:
             ),
             Difference(
                 "the first precursor is one front",
-                rf"up to $b = (k/\lambda_c^2)H/G$ = {', '.join(f'{x:.2f}' for x in rebreaking_onset([10, 25, 100, 1e4], 0.3))} at $H/\lambda_c$ = 10, 25, 100, 10⁴ and {theory.rebreaking_b():.4f} for $\lambda_c \to 0$; beyond, contact 0 is back at its threshold before the front stops, breaks again, and the event goes farther than its first front ([The macroscopic limit](../model/macroscopic.md#where-the-contact-at-the-edge-breaks-again))",
+                rf"up to $b = (k/\lambda_c^2)H/G$ = {', '.join(f'{x:.2f}' for x in rebreaking_onset([10, 25, 100, 1e4], 0.3))} at $H/\lambda_c$ = 10, 25, 100, 10⁴ and {theory.rebreaking_b():.4f} for $\lambda_c \to 0$; beyond, contact 0 is back at its threshold before the front stops, breaks again, and the event goes farther than its first front ([The macroscopic limit](../appendix/macroscopic.md#where-the-contact-at-the-edge-breaks-again))",
             ),
             Difference(
                 r"$\Lambda(\epsilon) \approx \Lambda(0)(1-\epsilon)$",

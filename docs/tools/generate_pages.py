@@ -34,7 +34,7 @@ def main() -> None:
     """Write, or compare, each page."""
     if missing := equations.missing():
         sys.exit("\n".join(missing))
-    pages = {"reference/equations": equations.page(), "evidence/errata": errata.page(), **TABLES}
+    pages = {"reference/equations": equations.page(), "appendix/errata": errata.page(), **TABLES}
     for name, text in pages.items():
         page = DOCS / f"{name}.md"
         if sys.argv[1:] != ["--check"]:

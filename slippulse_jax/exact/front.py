@@ -3,7 +3,8 @@
 Its length is analytic in the parameters.
 
 The stress t(s) that the front meets at contact s extends from whole numbers to real s as a convergent double series
-(`slippulse_jax.double_series`, derived in ``docs/model/exact_solution.md``). The length ℓ* is its crossing with the threshold,
+(`slippulse_jax.double_series`, derived in ``docs/appendix/exact_solution.md``). The length ℓ* is its crossing with the
+threshold,
 
     t(ℓ*) = 1 + ε ℓ*,
 

@@ -26,7 +26,7 @@ from slippulse_jax.status import Outcome
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-FOLDERS = ("learn", "howto", "fit", "model", "evidence")
+FOLDERS = ("learn", "howto", "fit", "model", "appendix")
 WRITTEN = [DOCS / "index.md", *sorted(path for folder in FOLDERS for path in (DOCS / folder).glob("*.md"))]
 """Pages that are written here; notebooks, worked fits and the help of commands are copied in when the site is built."""
 
@@ -203,7 +203,7 @@ QUICK = ("index.md",)
 """Pages of which README's command runs the programs; CI runs those of the others too."""
 LONG = {
     "fit/block.md", "fit/design.md", "fit/gauges.md", "fit/optax.md", "fit/own_csv.md", "fit/own_likelihood.md",
-    "fit/own_observable.md", "fit/sequence.md", "howto/break_rule.md", "howto/pictures.md", "learn/gallery.md", "model/block.md", "model/block_theory.md", "model/experiments.md", "model/gradients.md",
+    "fit/own_observable.md", "fit/sequence.md", "howto/break_rule.md", "howto/pictures.md", "learn/gallery.md", "model/block.md", "appendix/block_theory.md", "model/experiments.md", "model/gradients.md",
     "model/precursors.md",
 }  # fmt: skip
 """Pages whose programs take longest and call what other tests hold: they run every night."""

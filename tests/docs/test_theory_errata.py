@@ -11,4 +11,4 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
 def test_errata_page_is_up_to_date():
-    assert errata.page() == (DOCS / "evidence" / "errata.md").read_text(encoding="utf-8")
+    assert errata.page() == (DOCS / "appendix" / "errata.md").read_text(encoding="utf-8")

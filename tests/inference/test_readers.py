@@ -13,7 +13,7 @@ from slippulse_jax.inference.table import measurements, tables
 from slippulse_jax.inference.table.measurements import MeasurementError
 
 MOST = 40
-"""Bytes of memory per byte of a table or request, as docs/evidence/robustness.md says."""
+"""Bytes of memory per byte of a table or request, as docs/appendix/robustness.md says."""
 
 SIZE = 40_000
 HEADER = "height,poisson,length,length_sigma\n"

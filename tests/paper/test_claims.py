@@ -12,7 +12,7 @@ from slippulse_jax.events.catalogue import EventClass
 from slippulse_jax.paper import claims
 from slippulse_jax.paper.claims import CLAIMS, FAILS, HOLDS, WITHIN, examine, page, row
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "evidence" / "claims.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "appendix" / "claims.md"
 
 VERDICTS = {
     "C1": HOLDS, "C2": HOLDS, "C3": HOLDS, "C4": HOLDS, "C5": WITHIN, "C6": HOLDS, "C7": WITHIN, "C8": WITHIN, "C9": WITHIN,

@@ -1,6 +1,6 @@
 """Faults that no other file tries: an interrupt while a file is written, two writers of one file, a clock that jumps.
 
-docs/evidence/robustness.md lists all faults, what is promised, and the tests that hold it.
+docs/appendix/robustness.md lists all faults, what is promised, and the tests that hold it.
 """
 
 import os

@@ -369,7 +369,7 @@ def _of_bodies(result: "FitResult") -> Iterator[Change]:
             sprung = [dataclasses.replace(m, normal_stiffness=np.full(len(m), ratio)) for ratio in NORMAL]
             yield _again(result, "normal_stiffness", what, sprung, stiff, front=BlockEvent(*sprung, tried=True))
     if q.front.event in ("domino", "full"):  # not studied for others
-        ends = tuple(-math.log1p(-share) for share in (0.6, 0.8))  # of the stiffness (docs/evidence/scatter.md)
+        ends = tuple(-math.log1p(-share) for share in (0.6, 0.8))  # of the stiffness (docs/appendix/scatter.md)
         what = "thresholds that scatter by 5 % between contacts (found for sliders of b = 0.3 to 3)"
         yield Change("threshold", what, dict.fromkeys(stiff, ends))
     if block:

@@ -75,7 +75,7 @@ def minimise(
     lane : array of int, shape (B,), optional
         Replicate of each start, of "lm".
     method : {"lm", "lbfgs", "adam"}
-        docs/evidence/coverage.md compares them.
+        docs/appendix/coverage.md compares them.
     max_steps : int
         Steps allowed each start; Adam gets `ADAM_STEPS` times as many.
     tolerance : float
