@@ -116,6 +116,11 @@ def listed(texts: Sequence[str]) -> str:
     return ", ".join(texts[:-1]) + " and " * (len(texts) > 1) + texts[-1]
 
 
+def either(texts: Sequence[str]) -> str:
+    """``a, b or c``."""
+    return listed(texts).replace(" and ", " or ")
+
+
 def in_a_line(made: Any, *names: str) -> str:
     """Format the call that makes a dataclass, with all or some of its fields, without default values."""
     fields = [field for field in dataclasses.fields(made) if not names or field.name in names]

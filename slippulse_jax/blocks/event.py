@@ -59,7 +59,7 @@ class BlockPrecursor(eqx.Module):
             return repr(self)
         text = (
             f"first precursor: {int(self.contacts_broken)} contacts broken, length {float(self.length):.6g} λc, "
-            f"load at nucleation {float(self.load):.6g}; {Outcome(int(self.status)).message}"
+            f"load at nucleation {float(self.load):.6g} u_s; {Outcome(int(self.status)).message}"
         )
         if int(self.status) == Outcome.NO_DOMINO and self.block.push.height is None:
             text += "; a side that is pushed as a whole loads every contact alike, which leaves the neighbour just below"

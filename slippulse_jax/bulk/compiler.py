@@ -127,6 +127,7 @@ def compiled(f: Callable, *shapes: jax.ShapeDtypeStruct, device: Any, fusion_emi
             return usual
 
     options = OPTIONS | {"xla_cpu_use_fusion_emitters": fusion_emitters}
+    options = {name: value for name, value in options.items() if knows(name)}  # JAX 0.12 has given up some
     return kept(lowered, program, shapes, device, named or f, options)
 
 

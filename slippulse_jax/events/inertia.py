@@ -31,6 +31,7 @@ from slippulse_jax.domains import check_domain
 from slippulse_jax.events.rupture import nucleate
 from slippulse_jax.front.front import first_of
 from slippulse_jax.rules import CrackLike, SelfHealing
+from slippulse_jax.shown import short
 from slippulse_jax.status import Outcome
 
 
@@ -59,6 +60,11 @@ class Motion(NamedTuple):
     rubbed: Float[Array, ""]  # work of friction on sliding contacts
     imbalance: Float[Array, ""]  # largest error of the energy balance over all steps
     status: Int[Array, ""]
+
+    def __repr__(self) -> str:
+        if np.ndim(self.status) or isinstance(self.status, Tracer):
+            return f"Motion(extent={short(self.extent)}, time={short(self.time)}, status={short(self.status)})"
+        return f"Motion(extent={int(self.extent)}, time={float(self.time):g}, status={Outcome(int(self.status)).name})"
 
 
 class MotionState(NamedTuple):

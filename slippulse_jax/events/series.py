@@ -113,7 +113,7 @@ def series(
     ----------
     body : Chain or Block
         A chain with linear contacts, whose thresholds and prestress may have any profile. Or a block whose pusher is displaced;
-        "the left edge" of what follows is then its pusher. Or a body of one's own (docs/howto/body.md), with `sites`.
+        "the left edge" of what follows is then its pusher. Or a body of one's own (docs/howto/extend.md), with `sites`.
     protocol : Adiabatic, Steps or Spring
     events : int
         Number of events, and of rows in the catalogue.

@@ -51,11 +51,11 @@ class Mechanism:
         return "\n".join(
             (
                 f"Pulse or crack: {self.statement}",
-                f"  deviance  pulse {self.pulse.deviance:.4g} ({pulse})",
-                f"            crack {self.crack.deviance:.4g} ({crack})",
-                f"  p         pulse {self.p_pulse:.3g}, crack {self.p_crack:.3g}, by simulation",
-                f"  power     a crack as fitted would reject the pulse in {self.power:.0%} of cases, a pulse the crack in "
-                f"{self.power_of_pulse:.0%}",
+                f"  deviance             pulse {self.pulse.deviance:.4g} (best {pulse})",
+                f"                       crack {self.crack.deviance:.4g} (best {crack})",
+                f"  p of the difference  pulse {self.p_pulse:.3g}, crack {self.p_crack:.3g}, by simulation",
+                f"  power                a crack as fitted would reject the pulse in {self.power:.0%} of cases, "
+                f"a pulse the crack in {self.power_of_pulse:.0%}",
             )
         )
 
@@ -74,7 +74,7 @@ def pulse_or_crack(
     ----------
     measurements : Measurements
         Readings of gauges behind the tip tell most: a crack leaves its friction there, a pulse the stress of contacts that were
-        loaded anew. From lengths alone little can be told (docs/model/crack.md).
+        loaded anew. From lengths alone little can be told (docs/model/beyond.md).
     free : sequence of str or Parameter
         Parameters to fit, as for `fit`; the crack's friction is fitted beside them.
     simulations : int

@@ -16,7 +16,7 @@ from slippulse_jax.domains import check_choice
 from slippulse_jax.inference.choices import Body, Loss, MeasuredEvent
 from slippulse_jax.inference.model.check import checked
 from slippulse_jax.inference.model.fronts import Front
-from slippulse_jax.inference.model.parameters import Parameter, wanted_parameters, with_errors_of_measuring
+from slippulse_jax.inference.model.parameters import PARAMETERS, Parameter, wanted_parameters, with_errors_of_measuring
 from slippulse_jax.inference.search.clouds import gathered, refuse_model_error
 from slippulse_jax.inference.search.likelihood import Problem, make_problem
 from slippulse_jax.inference.search.minima import lowest_look
@@ -50,7 +50,13 @@ class Objective:
 
     @functools.cached_property
     def _compiled(self) -> Callable[[Array], Array]:
-        return jax.jit(self.problem.traced)
+        low, high = np.array([PARAMETERS[one.name].limits for one in self.problem.parameters.free]).T
+
+        def within(theta: Array) -> Array:
+            inside = ((theta >= low) & (theta <= high)).all()
+            return jnp.where(inside, self.problem.traced(theta), jnp.inf)
+
+        return jax.jit(within)
 
     @property
     def names(self) -> list[str]:
@@ -59,7 +65,10 @@ class Objective:
 
     @property
     def bounds(self) -> dict[str, tuple[float, float]]:
-        """Range of each θ that `fit` searches; the function has none."""
+        """Range of each θ that `fit` searches.
+
+        The function itself has no such limits, but is inf outside the domain, as for ν > 0.5.
+        """
         return {one.label: (one.low, one.high) for one in self.problem.parameters.free}
 
     @property

@@ -157,6 +157,7 @@ def sweep(
     request = Request(axes, choose(outputs, map(str, axes.coords)), right, sites, max_contacts, push_control, contact_law, top)
     _check_options(request, store, chunk, share, client, lazy)
     most = chunk or default_chunk(request, tasks=lazy or (client is not None and store is None))
+    most = min(most, -(-math.prod(request.shape) // share[1])) if share and not chunk else most  # one for every process
     if lazy:
         return _lazily(request, most)
     if store is None:
@@ -216,7 +217,7 @@ def _check_options(request: Request, store: Any, chunk: int | None, share: Any, 
     if lazy and (store is not None or client is not None):
         raise ValueError("lazy = True takes no store and no client: dask computes the dataset wherever it computes others")
     if share is not None and not 0 <= share[0] < share[1]:
-        raise ValueError(f"share = {share}: must be (index, number of processes) with 0 <= index < number")
+        raise ValueError(f"share {share[0]} of {share[1]}: shares count from 0 to the number of processes less one")
     if share is not None and client is not None:
         raise ValueError("share is for processes without a scheduler: leave it out with a client")
     if share is not None and store is None:

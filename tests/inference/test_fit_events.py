@@ -53,7 +53,7 @@ def test_fits_of_whole_events_recover_the_stiffness(b):
     assert "length of the whole event" in whole.report(verbose=True)
     assert "of the first front alone" in front.report()
     assert "of the first front alone" not in whole.report()
-    assert "with uniform thresholds and whole events." in unfolded(whole.report())
+    assert "uniform thresholds, whole events, the edge held still during the event, and " in unfolded(whole.report())
     assert re.search(r"\n  thresholds that scatter by 5 % between contacts .* × 2.5 to 5\n", whole.report())
     for draw in (plot.fit_lengths, plot.length_versus_stiffness, partial(plot.fits.profile, name="stiffness")):
         assert AGAIN in legend(draw(front, ax=Figure().subplots()))

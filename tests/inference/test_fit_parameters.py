@@ -256,7 +256,7 @@ def test_a_limit_that_the_lengths_deny_counts_against_the_fit():
     result = fit(Measurements(height, 0.3, length, 0.01 * length, kind=["length", "length", "at_least"]))
     assert result.identifiability is Identifiability.POOR_FIT
     assert result.testable_dof == 4
-    assert "deviance is" in unfolded(result.report())
+    assert "The deviance is" in unfolded(result.report())
     assert "degrees of freedom" not in unfolded(result.report())  # of which the bound on p takes more than there are data
     assert "(p at most " in unfolded(result.report())
 
@@ -475,7 +475,7 @@ def test_scaled_errors():
         assert getattr(fits[0], name) == pytest.approx(getattr(fits[1], name), rel=1e-6)
     assert "scaled by" in fits[0].report()
     none = fit(Measurements(height=HEIGHTS, poisson=0.3, length=noisy))
-    assert "no standard errors were given" in none.report()
+    assert "No standard errors were given" in none.report()
     assert log_width(none, 0.95) / 2 == pytest.approx(
         2.776 * log_stderr(none), rel=0.1
     )  # Student's t with four degrees of freedom

@@ -15,7 +15,7 @@ import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.model.family import Families
 from slippulse_jax.inference.model.inputs import Inputs
-from slippulse_jax.inference.result.changes import Change, of_inputs, total_interval, total_of_ratio
+from slippulse_jax.inference.result.changes import PUSHES, Change, of_inputs, total_interval, total_of_ratio
 from slippulse_jax.inference.result.report import value_with_error
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.inference.search.intervals import LEVELS
@@ -59,19 +59,19 @@ def test_an_uneven_interval_is_the_one_to_publish():
         value, error = result.values["stiffness"], result.stderrs["stiffness"]
         sides = np.array([value - piece.low, piece.high - value]) / error
         assert (abs(sides - 1).max() > 0.2) == (deviation == 0.2)
-        said[deviation] = [note for note in result.notes if "is the 68 % interval" in note]
+        said[deviation] = [note for note in result.notes if "quote the 68 % interval" in note]
     assert said[0.05] == []
     assert len(said[0.2]) == 1
-    reach = rf"not ±: the likelihood is not parabolic.* {sides[0]:.2f} times ± below the value and {sides[1]:.2f} times"
+    reach = rf"reaches {sides[0]:.2f} standard errors below the value and {sides[1]:.2f} above; the likelihood is not parabolic"
     assert re.search(reach, said[0.2][0])
 
 
 def test_a_size_of_errors_from_few_lengths_widens_the_interval():
     """By Student's t for two degrees of freedom, 1.32, which ± does not contain."""
     result = sp.fit(sp.Measurements(HEIGHT[:3], 0.3, LENGTH[:3] * (1 + 0.01 * NOISE[:3])))
-    (note,) = [note for note in result.notes if "is the 68 % interval" in note]
+    (note,) = [note for note in result.notes if "quote the 68 % interval" in note]
     assert "the size of σ is known from 2 degrees of freedom only" in note
-    found = [float(x) for x in re.findall(r"([0-9.]+) times ±", note)]
+    found = [float(x) for x in re.findall(r"([0-9.]+)(?: standard errors below| above)", note)]
     assert found == pytest.approx([1.32, 1.32], abs=0.06)
 
 
@@ -176,7 +176,7 @@ def test_an_error_that_specimens_may_share_is_named_with_its_option(tmp_path):
     """Done as it says, the error of the stiffness is larger: an error that all share does not average out."""
     apart = sp.fit(two_specimens())
     (step,) = apart.next_steps
-    assert f"  - {step}" in apart.report()
+    assert "\n  - Each specimen has its own error of E. If one source gives E of all, they share that error. " in apart.report()
     assert "leave young_sigma_GPa out, and give free=[" in step
     path = tmp_path / "together.csv"
     two_specimens().to_csv(path, index=False)
@@ -201,7 +201,7 @@ def test_inputs_that_are_pulled_far_are_remarked_on(wrong):
     notes = [note for note in result.notes if "more than chance would" in note]
     assert len(notes) == wrong
     if wrong:
-        assert re.search(r"the lengths pull E \(A\) by -[1-3]\.\d\d σ, E \(B\) by \+[1-3]\.\d\d σ", notes[0])
+        assert re.search(r"E \(A\) [1-3]\.\d\d σ below and E \(B\) [1-3]\.\d\d σ above what was stated", notes[0])
         assert "check the stated value and its error; or the specimens may differ in stiffness" in notes[0]
         assert '(free=[sp.Parameter("stiffness", each="specimen")])' in notes[0]
 
@@ -225,7 +225,7 @@ def test_a_pulled_model_factor_is_remarked_on():
     bent = dataclasses.replace(m, length=m.length * (HEIGHT / 450) ** -0.07)
     assert not any("more than chance" in note for note in sp.fit(m).notes)
     (note,) = [note for note in sp.fit(bent).notes if "more than chance" in note]
-    assert re.search(r"model factor by -2.*the lengths do not vary with the height as the model's do", note)
+    assert re.search(r"model factor 2\.\d\d σ below.*the lengths do not vary with the height as the model's do", note)
     assert "check what is stated" not in note
 
 
@@ -239,27 +239,30 @@ def test_the_ratio_to_a_block_beside_a_factor_of_all_lengths(held):
     fixed = None if held is None else {"offset": 0, "model_factor": held}
     result = sp.fit(lengths(provenance=("measured",) * 6), fixed=fixed)
     report = result.report()
-    (row,) = [line for line in section(report, "What else") if "a real block" in line]
-    assert "(column push_height fits one)" in row
-    found = {one.name: one for one in result.changes}["block"].moves["stiffness"]
-    assert [cell == "none fits" for cell in re.split(r" {2,}", row)[-1].split(", ")] == np.isnan(found).tolist()
-    assert ("A real block needs " in unfolded(report)) == np.isfinite(found).any()
+    rows = [line for line in section(report, "What else") if "a real block" in line]
+    assert ["(column push_height fits one)" in row for row in rows] == [True, *[False] * (len(rows) - 1)]
+    found = dict(zip(PUSHES, {one.name: one for one in result.changes}["block"].moves["stiffness"], strict=True))
+    shown = {}
+    for row in rows:
+        for push in re.search(r"pushed above (.*) H ", row).group(1).replace(" or ", ", ").split(", "):
+            shown[float(push)] = row.endswith("  none fits")
+    assert shown == {push: bool(np.isnan(by)) for push, by in found.items()}
+    finite = np.isfinite([*found.values()])
+    assert ("A real block would need " in unfolded(report)) == finite.any()
+    assert ("Pushed low on its side, no stiffness fits these lengths." in unfolded(report)) == (finite.any() and not finite[-1])
 
 
 @pytest.mark.ci
 def test_the_report_of_a_block_says_what_it_takes_for_granted():
     m = sp.read_measurements(EXAMPLES / "pushed_block/lengths.csv")
     said = sp.fit(m).report()
-    granted = "an end of the block, a machine that gives way"
-    assert f"not tried: {granted}, a pusher of which the force is held" in said
-    guess = (
-        "Guessed: the pusher covers all of the side above push_height_mm, as no push_width_mm is stated; if it is 0.1 H high"
-    )
+    assert "Not included: block end, compliant machine, force control" in said
+    guess = "Guessed: the pusher covers the whole side above push_height_mm, as no push_width_mm is stated. If it is 0.1 H high"
     assert guess in unfolded(said)
     stated = dataclasses.replace(m, push_width=0.2 * m.height, push_control=("displacement",) * 6)
     said = sp.fit(stated, intervals="profile").report()
     assert "Guessed" not in said
-    assert "of which the force is held" not in said
+    assert "force control" not in said
     assert "Guessed" not in sp.fit(m, body="slider", sigma="relative").report()
     assert "a model factor of 1.1, if the lengths were measured" in sp.fit(dataclasses.replace(m, provenance=())).report()
 
@@ -363,7 +366,7 @@ def test_intervals_by_simulation_are_called_so(tmp_path):
     for result in (by_default, asked):
         assert result.calibrated
         assert "95 % interval (simulated)" in result.report()
-    drawn = [line for line in sp.plot.profile(by_default, "stiffness").lines if line.get_label() == "_interval"]
+    drawn = [line for line in sp.plot.profile(by_default, "stiffness").lines if line.get_label() == "interval, simulated"]
     pieces = [piece for every in by_default.intervals["stiffness"].values() for piece in every]
     assert [tuple(line.get_xdata()) for line in drawn] == [piece[:2] for piece in pieces]
     by_default.save(tmp_path / "fit.json")
@@ -421,10 +424,10 @@ def test_the_deviance_is_that_of_the_residuals_shown(name, worked):
     report = result.report()
     box = [line for line in report.splitlines() if line.startswith(("┌", "│", "└"))]
     values = 1 + len(result.names) + len(result.stiffness_ratios)
-    assert ("neighbours err together" in unfolded(report)) == (name == "sequence")
+    assert ("Neighbours err together" in unfolded(report)) == (name == "sequence")
     assert max(map(len, box)) <= max(114, *(len(line.rstrip("│ ")) + 2 for line in box[1 : 1 + values]))
     if name == "pmma_block":
-        assert len(report.splitlines()) <= 30
+        assert len(report.splitlines()) <= 35
 
 
 @pytest.mark.ci
@@ -440,7 +443,7 @@ def test_sigma_is_shown_with_what_is_added_to_it():
     shown = [float(x) for x in re.findall(r"\n .* ± (\S+) +\S+ +[+-]\d\.\d\d", said)]
     assert shown == pytest.approx(result.sigma.tolist(), rel=0.06)
     assert "σ as given" not in unfolded(said)
-    assert "which is added to σ in quadrature" in said
+    assert "This is added to σ in quadrature" in said
 
 
 @pytest.mark.ci
@@ -471,7 +474,7 @@ def test_a_guessed_width_of_the_pusher_is_named_with_what_it_does():
     unstated = sp.fit(m, intervals="profile")
     factor = np.exp(moves(unstated)["push_width"]["stiffness"])
     assert factor * unstated.values["stiffness"] == pytest.approx(k, rel=0.25)
-    guess = "Guessed: the pusher covers all of the side above push_height, as no push_width is stated; if it is 0.1 H high, "
+    guess = "Guessed: the pusher covers the whole side above push_height, as no push_width is stated. If it is 0.1 H high, "
     assert f"{guess}the stiffness is about {factor:.2g} times as large." in unfolded(unstated.report())
     stated = sp.fit(dataclasses.replace(m, push_width=20.0), intervals="profile")
     assert stated.values["stiffness"] == pytest.approx(k, rel=0.05)
@@ -501,16 +504,16 @@ def test_what_the_errors_come_from_is_said():
     known = sp.fit(lengths(), ["stiffness", sp.Parameter("poisson", prior=(0.3, 0.02))])
     alone = sp.fit(lengths())
     for result, said in (
-        (alone, "from the lengths alone"),
-        (stated, "from lengths and stated errors alone"),
-        (measured, "from lengths and errors of measuring alone"),
-        (known, "from lengths and priors alone"),
+        (alone, "from the lengths only"),
+        (stated, "from lengths and stated errors only"),
+        (measured, "from lengths and shared errors only"),
+        (known, "from lengths and priors only"),
     ):
         assert f"  {said}  " in result.report()
-        assert said in result.methods()
-    assert "Fitted with it, within their errors: offset = 0.0 ± 2.8 λc, model factor = 1.00 ± 0.10." in measured.methods()
-    assert "does not contain that of the model" not in measured.methods()
-    assert "The error does not contain that of the model." in alone.methods()
+        assert f". F{said[1:]}, k/{'λc²' if result is stated else 'K'} = " in result.methods()
+    assert "Also fitted, within their errors: offset = 0.0 ± 2.8 λc and model factor = 1.00 ± 0.10." in measured.methods()
+    assert "The error of the model" not in measured.methods()
+    assert "The error of the model is not included." in alone.methods()
 
 
 @pytest.mark.ci
@@ -522,8 +525,7 @@ def test_the_deviance_is_that_of_residuals_and_inputs(made):
     inputs = result.deviance - (result.residuals**2).sum()
     assert inputs > 0.05
     text = unfolded(result.report())
-    is_ = "" if made == "stated" else "is "  # in the verdict of a rejected fit
-    assert f"chi-squared {is_}{result.deviance:.3g} ({inputs:.3g} of it from the fitted " in text
+    assert re.search(rf"Chi-squared is {result.deviance:.3g} for .* The fitted [^.]+ adds? {inputs:.3g} of it\.", text)
     assert result.to_dict()["residuals"] == pytest.approx(result.residuals.tolist())
 
 
@@ -532,7 +534,7 @@ def test_one_of_two_values_that_fit_equally():
     result = sp.fit(sp.Measurements(25.0, 0.3, [25.5], 0.15))
     assert re.search(r"│ k/K  0\.0\d+ \(one of 2\)  +0\.02\d+ to 0\.03\d+ or 0\.06\d+ to 0\.08", result.report())
     assert "(one of 2)" in result.report(verbose=True).split("Details")[1]
-    assert re.search(r"the 95 % interval is k/K = 0\.02\d+ to 0\.03\d+ or", result.methods())
+    assert re.search(r"The 95 % interval is k/K = 0\.02\d+ to 0\.03\d+ or", result.methods())
 
 
 def test_counts_hold_or_are_off_by_contacts():
@@ -543,7 +545,7 @@ def test_counts_hold_or_are_off_by_contacts():
     assert all(row.endswith("  holds") and f"{int(n)} contacts" in row for row, n in zip(rows, length, strict=True))
     length[0] += 30
     odd = sp.fit(sp.Measurements(HEIGHT, 0.3, length, 0.0, kind=["whole"] * 6))
-    assert "gives all counts; without measurement 0 the others agree" in unfolded(odd.report())
+    assert "gives all counts. Without measurement 0 the others agree." in unfolded(odd.report())
     assert re.search(r"off by [+-]\d+\.\d\d λc", odd.report())
 
 

@@ -87,7 +87,7 @@ def test_a_trend_in_height():
 def test_mere_scatter():
     _, steps = rejected(lengths(0.004) + 8 * NOISE)
     assert len(steps) == 1
-    assert '3.3 times as large; take it from the scatter by sigma="relative"' in steps[0]
+    assert '3.3 times as large; if it is a guess, take it from the scatter: sigma="relative"' in steps[0]
 
 
 HEADER = "height_mm,correlation_length_um,poisson,young_GPa,length_mm,length_sigma_mm"
@@ -242,10 +242,10 @@ def test_lengths_that_nothing_reaches_and_a_single_one():
     two = Measurements(height=[25.0, 50.0], poisson=0.3, length=[14.0, 36.0], length_sigma=0.5)
     note = said(two, [0.0, 0.0])
     assert note.startswith("2 lengths lie more than σ above the longest")
-    assert note.endswith("worst at measurement 0: 14 λc, where no domino starts")
-    assert said(two, [1.0, 0.0]).endswith("worst at measurement 1: 36 λc, where no domino starts")
+    assert note.endswith("the worst is measurement 0: 14 λc, where no domino starts")
+    assert said(two, [1.0, 0.0]).endswith("the worst is measurement 1: 36 λc, where no domino starts")
     note = said(Measurements(25.0, 0.3, 26.2, 0.3), [26.3])
-    assert note.startswith("the length lies within 3% of the longest attainable, where it constrains stiffness little")
+    assert note.startswith("the length lies within 3 % of the longest attainable, where it constrains stiffness little")
 
 
 @pytest.mark.slow

@@ -50,7 +50,7 @@ def test_a_crack_gives_its_parameters_back():
     assert result.values["strength"] == pytest.approx(STRENGTH, rel=1e-5)
     assert result.values["friction"] == pytest.approx(FRICTION, rel=1e-4)
     assert result.converged
-    assert "with uniform thresholds and crack-like fronts" in unfolded(result.report())
+    assert "uniform thresholds, crack-like fronts, " in unfolded(result.report())
     assert "first crack-like precursor" in result.report(verbose=True)
     assert set(result.front_status) == {Outcome.ARRESTED}
 

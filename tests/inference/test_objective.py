@@ -115,3 +115,13 @@ def test_what_it_does_not_take():
         f({})
     with jax.enable_x64(False), pytest.warns(RuntimeWarning, match="objective in single precision"):
         sp.objective(PLAIN)
+
+
+def test_outside_the_domain_it_is_infinite():
+    """A sampler that starts from the function alone must not leave ν ≤ 0.5; within the range it has slopes up to its ends."""
+    table = sp.Measurements([20.0, 35.0, 50.0], 0.3, [12.7, 24.6, 38.0], 0.3)
+    f = sp.objective(table, ["stiffness", sp.Parameter("poisson", prior=(0.4, 0.1))])
+    start = f.start()
+    assert [float(f({**start, "poisson": nu})) for nu in (0.5001, 0.9, -0.995)] == [np.inf] * 3
+    assert np.isfinite(f({**start, "poisson": 0.5}))
+    assert jax.grad(f)({**start, "poisson": 0.5})["poisson"] > 0

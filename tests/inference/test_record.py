@@ -88,9 +88,7 @@ def test_what_version_0_2_added_to_sigma_is_still_said():
     loaded = sp.load_fit(Path(__file__).with_name("fit_of_version_0.2.json"))
     added = dataclasses.replace(loaded, between_contacts=np.full(len(loaded.measurements), 0.05))
     said = [note for note in added.notes if "added to σ in quadrature" in note]
-    assert [note.split(" up to ")[0] for note in said] == [
-        "the definition of a length between two whole contacts changes it by"
-    ]
+    assert [note.split(" within ")[0] for note in said] == ["a length between two whole contacts is defined only"]
 
 
 def test_other_files_are_refused(tmp_path):

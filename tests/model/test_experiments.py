@@ -18,7 +18,7 @@ from slippulse_jax.cli.length import command as length_command
 from slippulse_jax.experiments import ALL, NEEDED, oslo1d, tromborg2014
 from slippulse_jax.inference.table.columns import COLUMNS
 
-PAGE = Path(__file__).resolve().parents[2] / "docs/model/experiments.md"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 REST = {"poisson": 1 / 3, "correlation_length": 2.5e-3, "areal_stiffness": 1.5e10, "push_width": 2.5e-3}
 """What the source of `tromborg2014` does not give."""
 OPTIONS = ["--correlation-length-um", "2500", "--areal-stiffness", "1.5e10", "--push-width", str(1 / 30)]
@@ -161,18 +161,26 @@ def test_the_command_says_which_option_is_missing(options, message):
     assert message in done.stderr
 
 
+def shown(page):
+    """Outputs that a page shows, in their order."""
+    return re.findall(r"^```text\n(.*?)^```$", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+
+
 @pytest.mark.ci
-def test_the_page_prints_what_it_shows():
-    """In single precision, as a reader's process has it; the table repeats the ranges that are printed."""
-    text, scope = PAGE.read_text(encoding="utf-8"), {"__name__": "__main__"}
-    shown = re.findall(r"^```text\n(.*?)^```$", text, flags=re.M | re.S)
-    printed = []
+@pytest.mark.parametrize("folder", ["model", "appendix"])
+def test_the_page_prints_what_it_shows(folder):
+    """In single precision, as a reader's process has it."""
+    page, scope, printed = DOCS / folder / "experiments.md", {"__name__": "__main__"}, []
     with jax.enable_x64(False), jax.numpy_rank_promotion("allow"):
-        for _, program in documented.blocks(PAGE, "python"):
+        for _, program in documented.blocks(page, "python"):
             with contextlib.redirect_stdout(io.StringIO()) as out:
-                documented.run_python(program, PAGE, scope)
+                documented.run_python(program, page, scope)
             printed.append(out.getvalue())
-    assert printed == shown
-    ranges = re.findall(r"^  (first event at .*)$", shown[1], flags=re.M)
+    assert printed == shown(page)
+
+
+def test_the_table_repeats_the_ranges_that_are_printed():
+    ranges = re.findall(r"^  (first event at .*)$", shown(DOCS / "appendix/experiments.md")[0], flags=re.M)
     assert len(ranges) == 2
-    assert all(f"| {one} |" in text for one in ranges)
+    table = (DOCS / "model/experiments.md").read_text(encoding="utf-8")
+    assert all(f"| {one} |" in table for one in ranges)

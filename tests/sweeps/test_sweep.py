@@ -161,7 +161,7 @@ def test_every_output_can_be_chosen_and_every_set_names_outputs():
         ({"points": True}, "points are given as arrays of one length, got no array"),
         ({"points": True, "height": [10.0, 20.0], "stiffness": [0.1]}, "arrays of one length"),
         ({"chunk": 0}, "chunk = 0"),
-        ({"share": (2, 2)}, r"share = \(2, 2\)"),
+        ({"share": (2, 2)}, "share 2 of 2: shares count from 0"),
         ({"share": (0, 2)}, "give it a store"),
         ({"share": (0, 2), "client": object()}, "share is for processes without a scheduler"),
         ({"lazy": True, "store": "s"}, "lazy = True takes no store and no client"),
@@ -215,7 +215,7 @@ def test_pictures():
     assert plot.sweep(lines, ax=ax) is ax
     assert [text.get_text() for text in ax.get_legend().get_texts()] == ["10", "25", "50"]
     assert ax.get_xscale() == "log"
-    assert ax.get_ylabel() == "length of the first precursor ($\\lambda_c$)"
+    assert ax.get_ylabel() == r"precursor length, $\ell/\lambda_c$"
     map_of = sp.sweep(height=np.linspace(10, 50, 9), stiffness=np.linspace(0.01, 0.05, 10), poisson=0.3, outputs="length")
     ax = Figure().subplots()
     plot.sweep(map_of, ax=ax)

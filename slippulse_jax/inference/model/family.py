@@ -614,7 +614,7 @@ class Events:
         with tqdm(total=count, disable=None, **what) as bar:
             if bar.disable and count > FEW and not self.known and sys.stderr is not None:
                 about = COMPILING + count * AN_EVENT / workers()
-                text = f"following {count} events of blocks at first: about {about:.0f} s, {COMPILING} of them to compile"
+                text = f"following at least {count} events of blocks: about {about:.0f} s, {COMPILING} s of it to compile"
                 print(text, file=sys.stderr, flush=True)
             for start in range(0, len(every), workers()):
                 yield every[start : start + workers()]

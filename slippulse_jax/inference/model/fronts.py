@@ -113,7 +113,7 @@ class Front:
     held: str = "the edge"  # does not move during the event
     thresholds: str = "uniform thresholds"
     # of fits that version 0.2 saved; where lengths are not interpolated nothing is added today
-    uncertain_as: ClassVar[str] = "the definition of a length between two whole contacts changes it by"
+    uncertain_as: ClassVar[str] = "a length between two whole contacts is defined only"
 
     def check(self, m: Measurements, names: Collection[str]) -> None:
         """Refuse columns and parameters without a meaning; a ValueError names them."""
@@ -253,9 +253,10 @@ class Front:
 
         By a scan, and closer scans around its top.
 
-        Below b = `RISING` a length rises with stiffness, so that nothing softer is looked at.
+        Below b = `RISING` the length of a slider rises with stiffness, so that nothing softer is looked at. That of a block
+        under friction need not.
         """
-        rising = np.log(RISING) + inputs.log_stiffness - inputs.log_b
+        rising = (np.log(RISING) if self.body == "slider" else -np.inf) + inputs.log_stiffness - inputs.log_b
         low = np.minimum(np.maximum(low, rising), high)
         best, where = np.empty(len(low)), np.empty(len(low))
         for count in (129, 17, 17, 17, 17):
@@ -415,9 +416,7 @@ class WholeEvent(Front):
     most_off = 1.0
     length_modelled = "length of the whole event, in which contacts may break again"
     lengths_are_of = "whole events"
-    uncertain_as = (
-        "the length of an event steps where the order of its breaks changes, and is interpolated, which changes it by"
-    )
+    uncertain_as = "the length of an event steps where the order of its breaks changes, and is interpolated"
 
     def __init__(self, *_: Measurements) -> None:
         self.ratios = Grid(SPACING, _over_front)
@@ -547,10 +546,7 @@ class BlockEvent(Front):
     body_modelled = "semi-infinite block under two-dimensional elasticity, pushed at a height"
     length_modelled = "length of the whole event, in which contacts may break again"
     held = "the pusher"
-    uncertain_as = (
-        "interpolating the length of an event on a block, between coarser blocks and across a fall to a few contacts, may "
-        "change it by"
-    )
+    uncertain_as = "lengths on a block are interpolated, between coarser blocks and across falls to a few contacts,"
     refused: ClassVar[dict[str, str]] = {
         "displacement": "from lengths alone: leave it out",
         "force": "from lengths alone: leave it out",
@@ -933,7 +929,7 @@ def front_of(m: Measurements, event: MeasuredEvent | Front | None = None, body: 
     """
     if isinstance(event, Front):
         if type(event).length is Front.length and type(event).values is Front.values:
-            raise TypeError(f"event: {type(event).__name__} has neither a length nor values (docs/howto/model.md)")
+            raise TypeError(f"event: {type(event).__name__} has neither a length nor values (docs/howto/extend.md)")
         return event
     if isinstance(event, type) and issubclass(event, Front):
         raise TypeError(f"event: give {event.__name__}(), a model, and not its class")

@@ -24,7 +24,7 @@ from slippulse_jax.inference.search.minima import DevianceGrid, between_contacts
 from slippulse_jax.inference.search.minimise import minimise
 from slippulse_jax.inference.table.columns import COLUMNS, IN_LC
 from slippulse_jax.inference.table.measurements import Measurements
-from slippulse_jax.shown import format_number, plural
+from slippulse_jax.shown import either, ends, format_number, plural
 from slippulse_jax.status import NotConverged
 
 if TYPE_CHECKING:
@@ -42,6 +42,8 @@ NARROW, NARROW_PUSHER = 0.1, "0.1 H high"
 """Height over H of a pusher that may cover less than all of the side above, where the table does not say; and in words."""
 PRESSED, NORMAL = (0.3, 0.6), (1.0, 1.4)
 """Friction coefficients tried where a table of a block states none, and k_n/k where one with friction states none."""
+SPRUNG = f"k_n/k = 1 or 1.4, not {USUAL_NORMAL_STIFFNESS:g} (column normal_stiffness)", *(f"{ratio:g}" for ratio in NORMAL)
+"""How the report calls these k_n/k."""
 SCATTER, MOST_SCATTER = 0.05, 0.29
 """How thresholds of contacts are tried to scatter; twice what is held, if more, and at most this."""
 SERIES = 24
@@ -50,6 +52,7 @@ MOST_STEPS = 25
 """Steps of every start of another fit."""
 MOST_CONTACTS = 5e4
 """Contacts of the longest front, above which ends and machines, which are followed break by break, are not tried."""
+STATED = "the block, pushed as the table states"
 MANY = 3.0
 """Factor from which on a change counts, and is given, as one instead of in per cent."""
 
@@ -66,6 +69,16 @@ class Change(NamedTuple):
     opposite: dict[str, float] = {}  # of an input taken as exact: the moves by the opposite of its usual error
     otherwise: str = "none fits"  # what NaN means
     several: tuple[bool, ...] = ()  # which of the moves are by a fit with more than one value, of which this is the first
+    tried: tuple[str, ...] = ()  # what each move is of, in the words of `what`; empty where `what` is one thing
+
+    @property
+    def every(self) -> list[float]:
+        """All moves of all parameters."""
+        return [by for moves in self.moves.values() for by in moves]
+
+    def what_of(self, tried: Sequence[str]) -> str:
+        """`what` of some of those tried only."""
+        return self.what.replace(either(self.tried), either(tried))
 
     def both(self, name: str) -> tuple[float, float]:
         """Moves of a parameter by a usual error and its opposite."""
@@ -105,9 +118,8 @@ def _of_sequence(result: "FitResult") -> Iterator[Change]:
     longer = _shifted(result, [_moved(m, "block_length", math.log(1.01))])
     yield Change("block_length", "a block longer by 1 %", longer)
     if m.normal_stiffness is None:
-        what = "k_n/k of {:g} or {:g}, for {:g} (column normal_stiffness states it)".format(*NORMAL, USUAL_NORMAL_STIFFNESS)
         sprung = [dataclasses.replace(m, normal_stiffness=np.full(len(m), ratio)) for ratio in NORMAL]
-        yield Change("normal_stiffness", what, _shifted(result, sprung))
+        yield Change("normal_stiffness", SPRUNG[0], _shifted(result, sprung), tried=SPRUNG[1:])
     scatter = min(max(SCATTER, 2 * q.inputs.at(result.theta).get("threshold_scatter")[0]), MOST_SCATTER)
     moves = _shifted(result, [m], _scattered(q.wanted, scatter))
     yield Change("threshold_scatter", f"thresholds that scatter by {100 * scatter:.2g} % from contact to contact", moves)
@@ -236,6 +248,7 @@ def _again(
     *,
     wanted: Sequence[Parameter] = (),
     front: Front | None = None,
+    tried: Iterable[str] = (),
 ) -> Change:
     """Fit other measurements over the whole range, as `fit` does.
 
@@ -270,7 +283,7 @@ def _again(
         for one in moves:
             moves[one] += (math.nan if theta is None else theta[one] - float(result.theta[q.index(one)]),)
         several.append(fits > 1 and not result.points)
-    return Change(name, what, moves, several=tuple(several))
+    return Change(name, what, moves, several=tuple(several), tried=tuple(tried))
 
 
 def _starts(result: "FitResult", q: ParameterSet, count: int = 9) -> np.ndarray:
@@ -323,11 +336,16 @@ def _of_ends(result: "FitResult") -> Iterator[Change]:
     if q.front.event == "domino" and m.gauges is None and result.fitted.max() < MOST_CONTACTS:
         if m.block_length is None:
             ended = dataclasses.replace(m, block_length=END * np.maximum(at.slow_decay_length, m.length / 4))
-            yield _again(result, "block_length", "a block that ends at 4/κ₂", [ended], result.moved)
+            assert ended.block_length is not None
+            (scale, unit), some = m.unit, "a block" if np.ptp(ended.block_length) == 0 else "blocks"
+            what = f"{some} only {ends(ended.block_length * scale)} {unit} long"
+            yield _again(result, "block_length", what, [ended], result.moved)
         if m.machine_stiffness is None and (m.young is not None or not m.in_si):
             own = at.edge_stiffness * (1.0 if m.young is None else m.young)
             driven = [dataclasses.replace(m, machine_stiffness=share * own) for share in MACHINES]
-            yield _again(result, "machine_stiffness", "a machine as stiff as the block, or a third of it", driven, result.moved)
+            tried = "as stiff", "a third as stiff"
+            what = f"a machine {either(tried)} as the block"
+            yield _again(result, "machine_stiffness", what, driven, result.moved, tried=tried)
     scaled = {one.name for one in q.free} | {*q.held}
     if _taken_as_exact(m, "length") and not any(m.provenance) and "model_factor" not in scaled:
         factor = 1 + MODEL_ERROR
@@ -350,24 +368,29 @@ def _of_bodies(result: "FitResult") -> Iterator[Change]:
         narrow = dataclasses.replace(m, push_height=at, push_width=NARROW * m.height)
         what = f"a pusher {NARROW_PUSHER} (column push_width{unit} states it)"
         yield _again(result, "push_width", what, [narrow], stiff, front=BlockEvent(narrow, tried=True))
-    if not block and relaxed and m.push_height is None and q.front.event == "domino" and not m.or_zero("threshold_slope").any():
+    if not block and relaxed and q.front.event == "domino" and not m.or_zero("threshold_slope").any():
         lengths = dataclasses.replace(m, **dict.fromkeys(BlockEvent.refused))
         wanted = [one for one in q.wanted if one.name != "strength"]
-        pushed = [dataclasses.replace(lengths, push_height=at * m.height) for at in PUSHES]
-        what = f"a real block, pushed from {', '.join(map(str, PUSHES))} H up (column push_height{unit} fits one)"
-        yield _again(result, "block", what, pushed, stiff, wanted=wanted, front=BlockEvent(*pushed, tried=True))
+        if m.push_height is None:
+            pushed = [dataclasses.replace(lengths, push_height=at * m.height) for at in PUSHES]
+            tried = [str(at) for at in PUSHES]
+            what = f"a real block, pushed above {either(tried)} H (column push_height{unit} fits one)"
+        else:
+            pushed, tried, what = [lengths], [], STATED
+        yield _again(result, "block", what, pushed, stiff, wanted=wanted, front=BlockEvent(*pushed, tried=True), tried=tried)
     if block:
         wanted = [one for one in q.wanted if one.name != "friction"]
-        tried, what = (0.0,), "thresholds that do not follow the pressure (μ = 0)"
+        friction, tried, what = (0.0,), [], "thresholds that do not follow the pressure (μ = 0)"
         if m.friction is None:
-            tried = PRESSED
-            what = "thresholds that follow the pressure, at μ = {:g} or {:g} (column friction)".format(*PRESSED)
-        pressed = [dataclasses.replace(m, friction=np.full(len(m), mu), friction_sigma=None) for mu in tried]
-        yield _again(result, "pressure", what, pressed, stiff, wanted=wanted, front=BlockEvent(*pressed, tried=True))
+            friction, tried = PRESSED, [f"{mu:g}" for mu in PRESSED]
+            what = f"thresholds that follow the pressure, at μ = {either(tried)} (column friction)"
+        pressed = [dataclasses.replace(m, friction=np.full(len(m), mu), friction_sigma=None) for mu in friction]
+        front = BlockEvent(*pressed, tried=True)
+        yield _again(result, "pressure", what, pressed, stiff, wanted=wanted, front=front, tried=tried)
         if m.friction is not None and m.normal_stiffness is None:
-            what = "k_n/k of {:g} or {:g}, for {:g} (column normal_stiffness states it)".format(*NORMAL, USUAL_NORMAL_STIFFNESS)
             sprung = [dataclasses.replace(m, normal_stiffness=np.full(len(m), ratio)) for ratio in NORMAL]
-            yield _again(result, "normal_stiffness", what, sprung, stiff, front=BlockEvent(*sprung, tried=True))
+            front = BlockEvent(*sprung, tried=True)
+            yield _again(result, "normal_stiffness", SPRUNG[0], sprung, stiff, front=front, tried=SPRUNG[1:])
     if q.front.event in ("domino", "full"):  # not studied for others
         ends = tuple(-math.log1p(-share) for share in (0.6, 0.8))  # of the stiffness (docs/appendix/scatter.md)
         what = "thresholds that scatter by 5 % between contacts (found for sliders of b = 0.3 to 3)"
@@ -445,17 +468,17 @@ def suggestions(result: "FitResult") -> list[str]:
     steps = _offered(result, [*_richer(result), *_outliers(result)]) if rejected else []
     if at_maximum:
         steps.append(
-            "check the units of heights and lengths, and that the height is the effective one, of the line where the load acts"
+            "check the units of heights and lengths; the height is the effective one, that of the line where the load acts"
         )
     refused = any(getattr(m, name) is not None for name in BlockEvent.refused) or m.or_zero("threshold_slope").any()
     if (at_maximum or _trend(result)) and m.push_height is None and not refused:
         unit = f"_{m.unit[1]}" * m.in_si
         steps.append(
-            f"state where the side is pushed, in columns push_height{unit} and push_width{unit}: a block is then fitted"
+            f"state where the side is pushed, in columns push_height{unit} and push_width{unit}; a block is then fitted"
         )
     if dof and rejected and not steps:
         larger = f"{np.sqrt(result.deviance / dof):.2g} times as large"
-        steps.append(f"if σ is a guess, it would have to be {larger}; take it from the scatter by {size_from_scatter(m)}")
+        steps.append(f"σ would have to be {larger}; if it is a guess, take it from the scatter: {size_from_scatter(m)}")
     return steps
 
 
@@ -481,8 +504,8 @@ def _shared(result: "FitResult") -> Iterator[str]:
             option = m.option(f"--prior {name}={mean},{deviation}", _as_argument(result.parameters.wanted, prior))
             source = "they were measured from one zero" if at else f"one source gives {symbol} of all"
             yield (
-                f"each {'push' if at else 'specimen'} has an error of {symbol} of its own: if {source}, they share "
-                f"its error: leave {column} out, and give {option}"
+                f"each {'push' if at else 'specimen'} has its own error of {symbol}; if {source}, they share that error; "
+                f"then leave {column} out, and give {option}"
             )
 
 
@@ -508,17 +531,17 @@ def _richer(result: "FitResult") -> Iterator[tuple[float, int, str]]:
         each = [own if one is shared else one for one in wanted]
         signs = [set(np.sign(result.residuals[np.array(m.specimen) == one]).tolist()) for one in dict.fromkeys(m.specimen)]
         one_sign = all(len(one) == 1 for one in signs)
-        pattern = "the residuals of each specimen have one sign: " if one_sign else "the specimens may differ: "
+        pattern = "the residuals of each specimen have one sign; " if one_sign else "the specimens may differ; "
         option = m.option("--each-specimen stiffness", _as_argument(each))
         yield *_with(result, each), f"{pattern}try one stiffness for each: {option}"
     if m.is_sequence and not result.parameters.inputs.at(result.theta).get("threshold_scatter").any():
         option = m.option(f"--fix threshold_scatter={SCATTER}", f'fixed={{"threshold_scatter": {SCATTER}}}')
-        text = f"thresholds of real contacts scatter: try {100 * SCATTER:.0f} % from contact to contact: {option}"
+        text = f"thresholds of real contacts scatter; try {100 * SCATTER:.0f} % from contact to contact: {option}"
         yield *_with(result, _scattered(wanted, SCATTER)), text
     if result.parameters.front.body == "slider" and m.prestress is None and all(one.name != "prestress" for one in wanted):
         trend, more = _trend(result), [*wanted, Parameter("prestress")]
         option = m.option(" ".join(f"--free {one.name}" for one in _asked(more)), _as_argument(more))
-        yield *_with(result, more), f"{trend}{': ' * bool(trend)}try a prestress, the same for all: {option}"
+        yield *_with(result, more), f"{trend}{'; ' * bool(trend)}try a prestress, the same for all: {option}"
 
 
 def _asked(wanted: Sequence[Parameter]) -> list[Parameter]:
@@ -568,7 +591,7 @@ def _outliers(result: "FitResult") -> Iterator[tuple[float, int, str]]:
     value = minimise(without, np.tile(starts, (count, 1)), q.low, q.high, lane=lane, max_steps=MOST_STEPS).value
     best = int(np.argmin(value))
     less = "" if m.is_sequence else ", or let outliers count less: " + m.option("--loss student", 'loss="student"')
-    text = f"{m.place(int(suspects[lane[best]]))} is at odds with the others: check it{less}"
+    text = f"{m.place(int(suspects[lane[best]]))} is at odds with the others; check it{less}"
     yield 2 * float(value[best]), 1, text
 
 

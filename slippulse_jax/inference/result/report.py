@@ -1,5 +1,6 @@
 """Report of a fit as text, with its notes."""
 
+import itertools
 import math
 import re
 import textwrap
@@ -20,11 +21,14 @@ from slippulse_jax.inference.result.changes import (
     MOST_CONTACTS,
     NARROW_PUSHER,
     NORMAL,
+    STATED,
     Change,
     of_inputs,
     size_from_scatter,
 )
 from slippulse_jax.inference.result.verdict import (
+    ANSWERS,
+    FAQ,
     GIVEN,
     GRAVITY,
     PLATEAU,
@@ -63,6 +67,8 @@ CORRELATED, MOST_CORRELATIONS = 0.5, 5
 """Correlation above which one is shown, and how many at most."""
 MOST_ROOTS, MOST_RATIOS = 4, 6
 """Most points that fit, and most ratios of stiffnesses between all pairs of specimens, that are listed."""
+POWER, DIGITS = re.compile(r"(?<=[\d)])e(-?\d+)(?![\w\]])"), str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+"""A power of ten as the report writes it, ``e10``, and the digits of exponents in a paper."""
 UNEVEN, UNEVEN_TOTAL = 0.2, 0.1
 """Relative difference between a side of the 68 % interval and the standard error, without and with inputs taken as exact, above
 which the error is given as an interval."""
@@ -75,7 +81,8 @@ def report(result: "FitResult", *, verbose: bool = False) -> str:
     """
     remarks = [note for note in result.notes if note not in result.suspicions]
     lists, shown = {"What to try next": result.next_steps, "Remarks": remarks}, _with_totals(result)
-    box = [*_values(result, shown), *(line for text in _sentences(result, shown) for line in _folded(text, 110))]
+    said = [*_sentences(result, shown), *_answered(result)]
+    box = [*_values(result, shown), *(line for text in said for line in _folded(text, 110))]
     width = max(map(len, box))
     parts = [
         [f"┌{'─' * (width + 2)}┐", *(f"│ {line:{width}s} │" for line in box), f"└{'─' * (width + 2)}┘"],
@@ -83,48 +90,63 @@ def report(result: "FitResult", *, verbose: bool = False) -> str:
         _moving(result, shown),
         _table(result),
         _further(result),
-        *([head, *(f"  - {line}" for line in lines)] if lines else [] for head, lines in lists.items()),
+        *([head, *(f"  - {_prose(line)[:-1]}" for line in lines)] if lines else [] for head, lines in lists.items()),
         _details(result, shown) if verbose else [],
     ]
     return "\n\n".join("\n".join(part) for part in parts if part)
 
 
 def methods(result: "FitResult") -> str:
-    """Write a sentence for the methods section of a paper."""
+    """Write sentences for the methods section of a paper."""
     m, q, shown = result.measurements, result.parameters, _with_totals(result)
     scale, unit = m.unit
+    heights = ("a height of " if np.ptp(m.height * scale) == 0 else "heights of ") + ends(m.height * scale)
+    what = "a sequence of" if m.is_sequence else "first"
+    how = f"by maximum likelihood (slippulse_jax {version('slippulse_jax')})"
+    said = [f"We fitted {_data(result)} of {what} precursors at {heights} {unit} {how}.", _model(result)]
+    fits = ""
+    if result.p_value is not None:
+        sign, tested = "χ²" if result.problem.plain else "deviance", result.problem.tested(result.p_value, result.testable_dof)
+        tested = re.sub(r" ?\((.*)\)", r", \1", tested)
+        fits = f" ({sign} = {format_number(result.misfit, 3)}{tested})".replace(TIED, " ")
+    bounded = [
+        shown[name] for name in result.names if shown[name].intervals.get(LEVELS[-1], "none") not in ("none", "unbounded")
+    ]
+    if result.given:
+        given = [shown[name] for name in result.given]
+        said.append(f"We obtain {listed([one.equals(one.whole or one.own) for one in given])}{fits}.")
+        usual = [re.split(" larger by | smaller by ", COLUMNS[change.name].usual[0]) for change in of_inputs(result.changes)]
+        if usual:
+            said.append(f"The error includes usual errors of {listed([f'{sign} ({by})' for sign, by in usual])}.")
+        fitted = dict.fromkeys(f"{one.symbol} = {shown[one.label].prior}" for one in _beside(result))  # what is shared, once
+        if fitted:
+            said.append(f"Also fitted, within their errors: {listed([*fitted])}.")
+        if any(one.whole for one in given):
+            said.append(_sentence(f"{_alone(result)}, {listed([one.equals(one.own) for one in given])}"))
+        said += ["The error of the model is not included."] * all(one.name != "model_factor" for one in q.free)
+        said += [_prose(_of_real_block(change)) for change in result.changes if change.name == "block"]
+    elif bounded:
+        every = [
+            one.equals(one.intervals[LEVELS[-1]]).replace("= above", "above").replace("= below", "below") for one in bounded
+        ]
+        said.append(f"The 95 % interval is {listed(every)}{fits}.")
+    else:
+        said.append(f"We obtain no number{fits}.")
+    if len(result.given) < len(result.names):
+        said += map(_sentence, _verdicts(result, shown, reasons=False))
+    return POWER.sub(lambda found: f" × 10{found[1].translate(DIGITS)}", " ".join(said)).replace("< 1 × 10", "< 10")
+
+
+def _model(result: "FitResult") -> str:
+    """Name the body and its constants."""
+    m, q = result.measurements, result.parameters
     body = "the two-layer slider of Braun and Scheibert (Tribology Letters, 2014)"
     if q.front.body == "block" and m.push_height is not None:
         where = "about" if m.push_width is not None else "above"
         body = f"a block under two-dimensional elasticity, pushed on its side {where} {ends(m.push_height / m.height)} H"
     constants = [(getattr(m, name), *how) for name, how in CONSTANTS.items()]
-    model = [body, *(f"{sign} = {ends(x * size)}{of}" for x, sign, size, of in constants if x is not None), *_held(result)]
-    verdict, errors = "; ".join(_verdicts(result, shown)), []
-    bounded = [shown[name] for name in result.names if any(result.intervals.get(name, {}).values())]
-    if result.given:
-        obtained = f"we obtain {', and '.join(shown[name].in_words(result) for name in result.given)}"
-        usual = [re.split(" larger by | smaller by ", COLUMNS[change.name].usual[0]) for change in of_inputs(result.changes)]
-        errors += [f"The error contains usual errors of {', '.join(f'{sign} ({by})' for sign, by in usual)}."] * bool(usual)
-        fitted = dict.fromkeys(f"{one.symbol} = {shown[one.label].prior}" for one in _beside(result))  # what is shared, once
-        errors += [f"Fitted with it, within their errors: {', '.join(fitted)}."] * bool(fitted)
-        errors += ["The error does not contain that of the model."] * all(one.name != "model_factor" for one in q.free)
-    elif bounded:
-        all_ends = ", and ".join(f"{one.symbol} = {one.intervals[LEVELS[-1]]} {one.unit}".rstrip() for one in bounded)
-        obtained = f"the 95 % interval is {all_ends}: {verdict}"
-    else:
-        obtained = f"no number is obtained: {verdict}"
-    fits = ""
-    if result.p_value is not None:
-        sign, tested = "χ²" if result.problem.plain else "deviance", result.problem.tested(result.p_value, result.testable_dof)
-        how = re.sub(r" ?\((.*)\)", r", \1", tested)
-        fits = f" ({sign} = {format_number(result.misfit, 3)}{how})".replace(TIED, " ")
-    heights = ("a height of " if np.ptp(m.height * scale) == 0 else "heights of ") + ends(m.height * scale)
-    what = "a sequence of" if m.is_sequence else "first"
-    said = (
-        f"From {_data(result)} of {what} precursors at {heights} {unit}, fitted by maximum likelihood{fits} with "
-        f"{', '.join(model)}, {obtained} (slippulse_jax {version('slippulse_jax')})."
-    )
-    return " ".join([said, *errors])
+    stated = [*(f"{sign} = {ends(x * size)}{of}" for x, sign, size, of in constants if x is not None), *_held(result)]
+    return f"The model is {body}. We took {listed(stated)}."
 
 
 def _data(result: "FitResult") -> str:
@@ -154,11 +176,11 @@ def _alone(result: "FitResult") -> str:
     beside = {one.name for one in _beside(result)}
     other = sorted({"readings" if one.observable in READINGS else one.observable for one in result.further})
     other += ["priors"] * any(math.isfinite(one.prior_sigma) for one in result.parameters.free if not one.nuisance)
-    other += ["stated errors"] * bool(beside - {*OF_MEASURING}) + ["errors of measuring"] * bool(beside & {*OF_MEASURING})
+    other += ["stated errors"] * bool(beside - {*OF_MEASURING}) + ["shared errors"] * bool(beside & {*OF_MEASURING})
     if result.measurements.is_sequence:
         other = ["first length" if one == "first" else one for one in other]
-        return f"from {listed(['forces', *other])} alone" if other else "from the forces alone"
-    return f"from {listed(['lengths', *other])} alone" if other else "from the lengths alone"
+        return f"from {listed(['forces', *other])} only" if other else "from the forces only"
+    return f"from {listed(['lengths', *other])} only" if other else "from the lengths only"
 
 
 # --- parameters as they are shown -----------------------------------------------------------------------------------------
@@ -178,8 +200,11 @@ class Shown(NamedTuple):
 
     def in_words(self, result: "FitResult") -> str:
         """Write ``k/λc² = (1.96 ± 0.17)e10 Pa/m`` and the error alone."""
-        alone = f"; {self.own} {_alone(result)}" if self.whole else ""
-        return f"{self.symbol} = {self.whole or self.own} {self.unit}".rstrip() + alone
+        return self.equals(self.whole or self.own) + (f"; {self.own} {_alone(result)}" if self.whole else "")
+
+    def equals(self, value: str) -> str:
+        """Write ``k/λc² = value Pa/m``."""
+        return f"{self.symbol} = {value} {self.unit}".rstrip()
 
 
 def _with_totals(result: "FitResult") -> dict[str, Shown]:
@@ -273,7 +298,7 @@ def html_of(result: "FitResult") -> str:
         (one.symbol, one.whole or one.own, one.own, *(one.intervals.get(level, "") for level in LEVELS), one.unit)
         for one in map(shown.__getitem__, result.values)
     ]
-    heads = ("", "with usual errors of inputs", _alone(result), *(f"{level:.0%} interval" for level in LEVELS), "unit")
+    heads = ("", "total error", _alone(result), *(f"{level:.0%} interval" for level in LEVELS), "unit")
     below = [result.reason, f"{plural(len(m), 'length')} of {m.source}", _quality(result), "report() says more"]
     return html(f"Result: {result.identifiability.value}", rows, heads, "; ".join(text for text in below if text))
 
@@ -286,12 +311,28 @@ def _sentences(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
     verdict = [*_verdicts(result, shown), _quality(result)]
     mistakes = [f"check first: {mistake}" for mistake in result.suspicions]
     paragraphs = verdict, mistakes, _holds_for(result)
-    return [text for texts in paragraphs if (text := " ".join(map(_sentence, texts)))]
+    return [text for texts in paragraphs if (text := " ".join(map(_prose, texts)))]
+
+
+def _answered(result: "FitResult") -> list[str]:
+    """Name the answers of `FAQ` to verdicts and messages."""
+    gravest = sorted({one.identifiability for one in result.verdicts.values()}, key=GRAVITY.index)
+    none = any(change.otherwise == "none fits" and np.isnan(change.every).any() for change in result.changes)
+    asked = ["check first"] * bool(result.suspicions) + gravest + ["none fits"] * none
+    answers = [f"{FAQ}#{ANSWERS[one]}" for one in asked if one in ANSWERS]
+    return [f"More: {', '.join(answers)}"] * bool(answers)
+
+
+def _prose(text: str) -> str:
+    """Write clauses, apart by semicolons, as sentences."""
+    return " ".join(map(_sentence, text.split("; ")))
 
 
 def _sentence(text: str) -> str:
-    """Begin with a capital unless with a symbol; end with a stop."""
-    begun = (text[0].upper() if text[:2].strip().isalpha() else text[0]) + text[1:].rstrip(".")
+    """Begin with a capital, unless with a symbol; end with a stop."""
+    first, begun = text.partition(" ")[0], text.rstrip(".")
+    if first == "a" or (first[:2].isascii() and first[:2].isalpha() and len(first) > 1 and not {*"_.=("} & {*first}):
+        begun = begun[0].upper() + begun[1:]
     return begun + "." * (not begun.endswith("?"))
 
 
@@ -302,7 +343,7 @@ def _folded(text: str, width: int) -> list[str]:
 
 def _values(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
     """Tabulate values and ratios of specimens, with both errors."""
-    rows = [["", "with usual errors of inputs", _alone(result), "95 % interval" + " (simulated)" * result.calibrated]]
+    rows = [["", "total error", _alone(result), "95 % interval" + " (simulated)" * result.calibrated]]
     for one in (shown[name] for name in result.names):
         symbol = one.symbol + f" ({one.unit})" * bool(one.unit)
         rows.append([symbol, one.whole, one.own, one.intervals.get(LEVELS[-1], "none")])
@@ -317,15 +358,15 @@ def _values(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
     return _aligned([[row[i] for i in kept] for row in rows], str.ljust, indent="")
 
 
-def _verdicts(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
+def _verdicts(result: "FitResult", shown: dict[str, Shown], *, reasons: bool = True) -> Iterator[str]:
     """State the verdicts in words, each with its parameters if several."""
     found = result.verdicts
     kinds = sorted({one.identifiability for one in found.values()}, key=GRAVITY.index)
     for kind in kinds:
         own = [name for name, one in found.items() if one.identifiability is kind]
-        reasons = {found[name].reason for name in own} - {""} if kind is not Identifiability.EQUAL else set()
+        why = {found[name].reason for name in own} - {""} if reasons and kind is not Identifiability.EQUAL else set()
         named = f"{', '.join(shown[name].symbol for name in own)}: " * (len(kinds) > 1)
-        yield named + kind.value + (f"; {reasons.pop()}" if len(reasons) == 1 else "")
+        yield named + kind.value + (f"; {why.pop()}" if len(why) == 1 else "")
 
 
 def _holds_for(result: "FitResult") -> Iterator[str]:
@@ -336,30 +377,27 @@ def _holds_for(result: "FitResult") -> Iterator[str]:
     ended, machine = (name in q.inputs.more and bool(np.isfinite(q.inputs.get(name).base).any()) for name in ENDED)
     stated = ["end"] * ended + ["machine"] * machine
     still = "" if machine or "force" in m.push_control else q.front.held
-    needed = [f"{'it' if np.ptp(m.height) == 0 else 'the tallest'} is longer than {longest} {unit}"] * (not ended)
-    needed += [f"{still} {'do' if ' and ' in still else 'does'} not move during the event"] * bool(still)
-    body = f"{'tried with' if result.identifiability in NOTHING_HOLDS else 'holds for'} {q.front.carrier}"
-    body += f" with the stated {' and '.join(stated)}" * bool(stated) + f", if {' and '.join(needed)}" * bool(needed)
-    yield body + f", with {q.front.thresholds}" + f" and {q.front.lengths_are_of}" * bool(q.front.lengths_are_of)
+    assumed = [q.front.thresholds, *[q.front.lengths_are_of] * bool(q.front.lengths_are_of)]
+    assumed += [f"{still} held still during the event"] * bool(still)
+    assumed += [f"{'a' if np.ptp(m.height) == 0 else 'the tallest'} block longer than {longest} {unit}"] * (not ended)
+    body = f"{'the model tried is' if result.identifiability in NOTHING_HOLDS else 'assumes'} {q.front.carrier}"
+    *others, last = assumed
+    listing = ", ".join(others) + "," * (len(others) > 1) + " and " * bool(others) + last
+    yield body + f" with the stated {' and '.join(stated)}" * bool(stated) + f": {listing}"
     for change in result.changes:
-        moves = [by for moves in change.moves.values() for by in moves]
-        factors = [math.exp(by) for by in moves if not math.isnan(by)]
+        every = change.every
+        factors = [math.exp(by) for by in every if not math.isnan(by)]
         if change.name == "block":
-            none = ", or none fits" * (len(factors) < len(moves))
-            first = "the first value" if result.points else "this"
-            would = "gives these lengths at no stiffness, wherever its side is pushed"
-            if factors:
-                would = f"needs {ends(factors)} times {first}{none}, depending on where its side is pushed"
-            yield f"a real block {would}"
+            yield _of_real_block(change, "the first value" if result.points else "this stiffness")
         elif change.name == "push_width":
             suffix = f"_{unit}" * m.in_si
             would = f"the stiffness is about {ends(factors)} times as large" if factors else "no stiffness fits these lengths"
             yield (
-                f"guessed: the pusher covers all of the side above push_height{suffix}, as no push_width{suffix} is stated; if "
+                f"guessed: the pusher covers the whole side above push_height{suffix}, as no push_width{suffix} is stated; if "
                 f"it is {NARROW_PUSHER}, {would}"
             )
         elif change.name == "normal_stiffness":
-            would = f"the stiffness is {ends(factors)} times this" + ", or none fits" * (len(factors) < len(moves))
+            would = f"the stiffness is {ends(factors)} times this" + ", or none fits" * (len(factors) < len(every))
             yield (
                 f"guessed: k_n/k = {USUAL_NORMAL_STIFFNESS:g}, as no normal_stiffness is stated; at {NORMAL[0]:g} or "
                 f"{NORMAL[1]:g} {would if factors else 'no stiffness fits'}"
@@ -368,31 +406,43 @@ def _holds_for(result: "FitResult") -> Iterator[str]:
         yield "held: " + ", ".join(_held(result))
 
 
+def _of_real_block(change: Change, first: str = "this stiffness") -> str:
+    """State the stiffness that a real block would need."""
+    every = change.every
+    factors = [math.exp(by) for by in every if not math.isnan(by)]
+    if not change.tried:
+        needed = f"{STATED}, would need {ends(factors)} times {first}" if factors else ""
+        return needed or f"no stiffness of {STATED}, fits these lengths"
+    if not factors:
+        return "no stiffness of a real block fits these lengths, wherever its side is pushed"
+    where = "pushed low on its side" if all(math.isnan(moves[-1]) for moves in change.moves.values()) else "at some pushes"
+    none = f"; {where}, no stiffness fits these lengths" * (len(factors) < len(every))
+    return f"a real block would need {ends(factors)} times {first}{none}"
+
+
 def _quality(result: "FitResult") -> str:
     """State what was fitted, how well, and the errors used."""
     m, problem, degrees = result.measurements, result.problem, plural(result.dof, "degree")
     specimens = len(set(m.specimen))
     data = f"from {_data(result)} of {Path(m.source).name}" + f" on {specimens} specimens" * (specimens > 1)
     if result.scaled and result.identifiability is Identifiability.NO_SCATTER:
-        return f"{data}: no scatter from which to take the size of their errors"
+        return f"{data}; they have no scatter that gives the size of their errors"
     if result.scaled:
         (scale, unit), scatter = m.unit, result.scatter or 1.0
-        size = f": σ = {scatter:.3g} λc" if np.ptp(scale) > 0 else f": σ = {scatter * float(scale[0]):.3g} {unit}"
-        size *= m.length_sigma is None  # equal errors of all lengths
-        return f"{data}: the size of the errors is taken from the scatter ({degrees} of freedom){size}"
+        size = f"{scatter:.3g} λc" if np.ptp(scale) > 0 else f"{scatter * float(scale[0]):.3g} {unit}"
+        size = f"σ = {size}" if m.length_sigma is None else "the size of the errors"  # equal errors of all lengths, or stated
+        return f"{data}; the scatter gives {size} ({degrees} of freedom)"
     if result.identifiability is Identifiability.POOR_FIT or (result.p_value is None and not problem.plain):
         return data  # the verdict has the rest; counts and limits that hold cost nothing
-    misfit = f"{problem.named_deviance} {format_number(round(result.misfit, 9), 3)}"  # no rounding errors
-    if result.p_value is not None:
-        fits = f"{misfit}{problem.from_priors(result.theta)}{problem.tested(result.p_value, result.testable_dof)}"
-    elif result.dof > 0:
-        fits = f"{misfit}, {degrees} of freedom"
-    else:
+    fits = problem.fits(result.theta, result.deviance, result.p_value, result.testable_dof)
+    if result.p_value is None and result.dof > 0:
+        fits += f", with {degrees} of freedom"
+    elif result.p_value is None:
         why = "one length cannot test the model" if len(m) == 1 else "the model cannot be tested"
-        fits = f"{misfit} with no degree of freedom, so {why}"
+        fits += f" with no degree of freedom, so {why}"
     enlarged = m.is_sequence or result.between_contacts is not None
-    used = "; σ enlarged as remarked below" if enlarged else "; σ as given"
-    return f"{data}: {fits}{used * bool((m.stated_sigma > 0).any())}"
+    used = ", with σ enlarged (see the remarks)" if enlarged else ", with σ as given"
+    return f"{data}{used * bool((m.stated_sigma > 0).any())}; {fits}"
 
 
 def title(result: "FitResult", width: int) -> list[str]:
@@ -449,14 +499,14 @@ def _roots(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
         rows.append([*values, f"{root.deviance - result.deviance:+.2f}{again}"])
     more, m, bounds = len(result.roots) - MOST_ROOTS, result.measurements, _bounds(result)
     keep = "Points" if len(result.names) > 1 else "Values"
-    low, high = (f"{x:g}".replace("e+0", "e").replace("e+", "e") for x in bounds) if bounds else ("LOW", "HIGH")
+    low, high = (re.sub("e[+]?(-?)0?", r"e\1", f"{x:g}") for x in bounds) if bounds else ("LOW", "HIGH")
     option = m.option(f"--bounds {low} {high}", f"bounds=({low.lower()}, {high.lower()})")
     return [
         f"{keep} that fit (not excluded at 95 %)",
         *_aligned(rows, str.ljust),
         *[f"  … and {more} more (FitResult.roots)"] * (more > 0),
         f"  To keep {'the first' if bounds else 'one'}, with its errors: {option}",
-        *[f"  {_sentence(whole_events(result.measurements))}" for _ in range(any(root.rebreaks for root in result.roots))],
+        *[f"  {_prose(whole_events(result.measurements))}" for _ in range(any(root.rebreaks for root in result.roots))],
     ]
 
 
@@ -497,10 +547,16 @@ def _moving(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
     if len(names) == 1:
         rows = [["What else would move it", f"{symbols[0]} would be"]]
     for change in result.changes:
-        cells = [", ".join(_cells(result, shown, change, name)) for name in names]
-        if change.name == "threshold":  # a range
-            cells = [cell.replace(", ×", " to") for cell in cells]
-        rows.append([f"  {change.what}", *cells])
+        columns = [[*_cells(result, shown, change, name)] for name in names]
+        if change.name == "threshold" or not change.tried:  # a range; or all that there is
+            joined = [", ".join(cells) for cells in columns]
+            rows.append([f"  {change.what}", *(cell.replace(", ×", " to") for cell in joined)])
+            continue
+        each, hint = zip(change.tried, itertools.zip_longest(*columns, fillvalue=""), strict=True), True
+        for cells, same in itertools.groupby(each, key=lambda one: one[1]):
+            what = change.what_of([tried for tried, _ in same])
+            rows.append([f"  {what if hint else what.partition(' (')[0]}", *cells])
+            hint = False  # of the column, said once
     return _aligned(rows, str.ljust, indent="")
 
 
@@ -627,7 +683,7 @@ def _details(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
     strong = [(pair, value) for pair, value in strong if abs(value) > CORRELATED and {*result.names} & {*pair}]
     rows += [f"  correlations above {CORRELATED:g}:"] * bool(strong)
     rows += [f"    C({shown[a].symbol}, {shown[b].symbol}) = {value:+.3f}" for (a, b), value in strong[:MOST_CORRELATIONS]]
-    rows.append(f"  {_regime(result)}")
+    rows += [f"  {line}" for line in _regime(result)]
     if m.is_sequence:
         return rows
     rows += ["  broken contacts, and the longest length attainable at any stiffness searched:"]
@@ -659,20 +715,20 @@ def _inputs(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
     return rows
 
 
-def _regime(result: "FitResult") -> str:
-    """State b, the slow decay length, and where contacts break again."""
+def _regime(result: "FitResult") -> list[str]:
+    """State b, where contacts break again, and the slow decay length."""
     at, front, (scale, unit) = result.regime, result.parameters.front, result.measurements.unit
     decay, shortest = ends(at.slow_decay_length * scale), ends(4 * (at.slow_decay_length * scale))
     if front.body == "block":
-        holds = f"so this holds only for blocks longer than 4 times that, {shortest} {unit}"
+        needed = f"blocks must be longer than 4 times that, {shortest} {unit}"
         if result.measurements.block_length is not None:
-            holds = f"and the blocks are {ends(result.measurements.block_length * scale)} {unit} long"
-        return f"Regime: b = {ends(at.b)}; an edge load decays over {decay} {unit}, {holds}"
-    again = f" (from {rebreaking_b():.3g} on the edge contact of a tall slider breaks again)" * (front.event != "crack")
-    end = f", so this holds only for blocks longer than 4/κ₂ = {shortest} {unit}"
+            needed = f"the blocks are {ends(result.measurements.block_length * scale)} {unit} long"
+        return [f"Regime: b = {ends(at.b)}", f"An edge load decays over {decay} {unit}; {needed}"]
+    again = f"; from {rebreaking_b():.3g} on, the edge contact of a tall slider breaks again" * (front.event != "crack")
+    needed = f"blocks must be longer than 4/κ₂ = {shortest} {unit}"
     if result.block_length_over_height is not None:
-        end = f"; L/H = {ends(result.block_length_over_height)}"
-    return f"Regime: b = {ends(at.b)}{again}; 1/κ₂ = {decay} {unit}{end}"
+        needed = f"L/H = {ends(result.block_length_over_height)}"
+    return [f"Regime: b = {ends(at.b)}{again}", f"Decay length 1/κ₂ = {decay} {unit}; {needed}"]
 
 
 # --- remarks --------------------------------------------------------------------------------------------------------------
@@ -700,25 +756,26 @@ def _of_data(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
     copies = len(m) - m.distinct
     if copies:
         yield (
-            f"{plural(copies, 'measurement')} repeat{'s' * (copies == 1)} another one exactly, and each counts as a "
-            "measurement of its own: leave out those that were copied"
+            f"{plural(copies, 'measurement')} repeat{'s' * (copies == 1)} another exactly; each counts as a measurement of its "
+            "own, so leave out copies"
         )
     if result.problem.count - copies < p:
         hold = m.option("--fix NAME=VALUE", "fixed={name: value}")
         state = m.option("--prior NAME=MEAN,DEVIATION", "sp.Parameter(name, prior=(mean, deviation))")
         yield (
-            f"{plural(p, 'parameter')} are fitted, but only {result.problem.count - copies} of the data are different: hold "
+            f"{plural(p, 'parameter')} are fitted, but only {result.problem.count - copies} of the data are different; hold "
             f"some ({hold}), state what is known of them ({state}), or measure at more heights"
         )
     beside = {one.name: f"{one.symbol} = {shown[one.label].prior}" for one in _beside(result) if one.name in OF_MEASURING}
     if "model_factor" in beside:
-        shared, held = "a model factor that they share is", {"model_factor": 1}
+        shared, held = "a model factor is", {"model_factor": 1}
         if "offset" in beside:
-            shared, held = "an offset and a model factor that they share are", {"offset": 0, "model_factor": 1}
+            shared, held = "an offset and a model factor are", {"offset": 0, "model_factor": 1}
         option = m.option(" ".join(f"--fix {name}={value}" for name, value in held.items()), f"fixed={held}".replace("'", '"'))
+        beside_it = ", ".join(beside.values())
         yield (
-            f"as the lengths were measured, {shared} fitted too ({', '.join(beside.values())}); {option} leaves the "
-            "errors of the lengths alone"
+            f"measured lengths share errors, so {shared} fitted too, within priors: {beside_it}; to keep only the errors of "
+            f"each length, give {option}"
         )
     if m.in_si and m.young is None:
         yield "no young_GPa: the data determine the areal stiffness only as its ratio to Young's modulus"
@@ -727,14 +784,14 @@ def _of_data(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
 def _of_sigma(result: "FitResult") -> Iterator[str]:
     m = result.measurements
     if m.length_sigma is None:
-        yield "no standard errors were given: equal errors were assumed, and their size taken from the scatter about the fit"
+        yield "no standard errors were given; equal ones are assumed, as large as the scatter about the fit"
     elif result.scaled:
         yield f"the stated σ are taken as relative, and scaled by {result.scatter:.3g} to the scatter about the fit"
     if result.p_value is not None and result.problem.improbable <= result.p_value < SCATTERED:
         factor = np.sqrt(result.misfit / (result.testable_dof or 1))
         taken = f"; {size_from_scatter(m)} takes its size from the scatter" * result.problem.exact_values
         larger = f"σ would have to be {factor:.2g} times as large{taken}"
-        yield f"the scatter is larger than σ says (p = {result.p_value:.2g}): {larger}"
+        yield f"the scatter is larger than σ explains (p = {result.p_value:.2g}); {larger}"
     if result.problem.loss != "normal":
         yield f"loss: {result.problem.loss}; outliers count less than their σ implies"
 
@@ -754,17 +811,18 @@ def _of_pulls(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
         usual = math.sqrt(max(one.prior_sigma**2 - variance, 1e-12 * one.prior_sigma**2))
         chance = 1 - (1 - 2 * ndtr(-abs(off) / usual)) ** len(known)
         if abs(off) > one.prior_sigma and chance < SCATTERED:  # a smaller pull hardly moves the result
-            pulled.setdefault(one.name, []).append(f"{shown[one.label].symbol} by {off / one.prior_sigma:+.2f} σ")
+            by = f"{abs(off) / one.prior_sigma:.2f} σ {'above' if off > 0 else 'below'}"
+            pulled.setdefault(one.name, []).append(f"{shown[one.label].symbol} {by}")
     if not pulled:
         return
-    which = ", ".join(text for every in pulled.values() for text in every)
+    which = listed([text for every in pulled.values() for text in every])
     shared = pulled.keys() & {*OF_MEASURING}
     together = len(set(result.measurements.specimen)) > 1 and any(name in STIFFNESSES for name in result.names)
     checks = ["check the stated value and its error"] * bool(pulled.keys() - shared)
     each = result.measurements.option("--each-specimen stiffness", 'free=[sp.Parameter("stiffness", each="specimen")]')
     checks += [f"the specimens may differ in stiffness ({each})"] * together
     checks += ["the lengths do not vary with the height as the model's do"] * bool(shared)
-    yield f"the lengths pull {which}, more than chance would: {'; or '.join(checks)}"
+    yield f"the lengths put {which} what was stated; that is more than chance would; {'; or '.join(checks)}"
 
 
 def _of_shape(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
@@ -780,8 +838,8 @@ def _of_shape(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
             why = f"the size of σ is known from {plural(result.dof, 'degree')} of freedom only"
         text = f"{this.intervals[LEVELS[0]]} {this.unit}".rstrip()
         yield (
-            f"{this.symbol}: the error {_alone(result)} is the 68 % interval, {text}, not ±: {why}, and the interval reaches "
-            f"{by[0]:.2f} times ± below the value and {by[1]:.2f} times ± above it"
+            f"{this.symbol}: quote the 68 % interval {_alone(result)}, {text}, not ±; it reaches {by[0]:.2f} standard errors "
+            f"below the value and {by[1]:.2f} above; {why}"
         )
 
 
@@ -798,16 +856,16 @@ def _of_attainable(result: "FitResult") -> Iterator[str]:
         if attainable[i] > 0:
             reached = f"{m.length[i] / attainable[i]:.3g} times the longest attainable, {m.in_its_unit(i, attainable[i])}"
         yield (
-            f"{count} length{'s lie' if count > 1 else ' lies'} more than σ above the longest that a stiffness in the range "
-            f"searched gives; worst at {m.number(i)}: {m.in_its_unit(i, m.length[i])}, {reached}"
+            f"{count} length{'s lie' if count > 1 else ' lies'} more than σ above the longest at any stiffness searched; the "
+            f"worst is {m.number(i)}: {m.in_its_unit(i, m.length[i])}, {reached}"
         )
     plateau = ~above & (m.length > PLATEAU * attainable)
     if plateau.any() and front.event != "crack":
         poisson, count = m.poisson[plateau][0], int(plateau.sum())
-        ceiling = f" (no first front of a tall slider exceeds {float(length_ceiling(poisson)):.3f} H at ν = {poisson:g})"
+        ceiling = f"; no first front of a tall slider exceeds {float(length_ceiling(poisson)):.3f} H at ν = {poisson:g}"
         lie, they = ("lie", "they constrain") if count > 1 else ("lies", "it constrains")
         some = f"{count} of {len(m)} lengths {lie}" if len(m) > 1 else "the length lies"
-        nearly = f"within {1 - PLATEAU:.0%} of the longest attainable, where {they} stiffness little"
+        nearly = f"within {100 * (1 - PLATEAU):.0f} % of the longest attainable, where {they} stiffness little"
         yield f"{some} {nearly}{ceiling * (front.body == 'slider')}"
 
 
@@ -818,33 +876,33 @@ def _of_model(result: "FitResult") -> Iterator[str]:
     """
     m, front = result.measurements, result.parameters.front
     if isinstance(front, BlockSequence):
-        of_model = f", and {front.model_error:.2g} μF_N for what the model leaves out" if front.model_error else ""
+        of_model = f"; it also contains {front.model_error:.2g} μF_N for what the model leaves out" if front.model_error else ""
         taken = ", taken from how far the forces lie from the fit" if front.error_is_fitted else ""
         if result.request.get("model_error") == "fitted" and not front.error_is_fitted:
             taken = ", the largest that is taken from data, and not enough"
         yield (
-            "σ of every force contains that of its place, and how far single series lie from their trend, by the order of "
-            f"breaks and by chance{of_model}{taken}; neighbours err together, so that χ² is not the sum of these squares"
+            "σ of every force contains the error of its place, and the spread of single series about their trend"
+            f"{of_model}{taken}; neighbours err together, so χ² is not the sum of these squares"
         )
         if m.machine_stiffness is None:
-            yield "not tried: a machine that gives way (column machine_stiffness), contacts that age (newborn, time_constant)"
+            yield "not included: compliant machine (column machine_stiffness), ageing contacts (newborn, time_constant)"
         return
     if front.event == "domino" and result.fitted.max() >= MOST_CONTACTS:
-        yield f"an end of the block and a machine were not tried: fronts of more than {MOST_CONTACTS:g} contacts take long"
+        yield f"not included: block end, compliant machine; fronts of more than {MOST_CONTACTS:g} contacts take long"
     if front.body == "block":
-        force = ", a pusher of which the force is held" * (not m.push_control)
-        yield f"not tried: {'an end of the block, ' * (m.block_length is None)}a machine that gives way{force}"
+        end, force = "block end, " * (m.block_length is None), ", force control" * (not m.push_control)
+        yield f"not included: {end}compliant machine{force}"
     if result.between_contacts is not None:
         i = int(np.argmax(result.between_contacts))
         off = m.in_its_unit(i, float(f"{result.between_contacts[i]:.2g}"))
-        yield f"{front.uncertain_as} up to {off} ({m.place(i)}), which is added to σ in quadrature"
+        yield f"{front.uncertain_as} within {off} ({m.place(i)}); this is added to σ in quadrature"
     if front.event == "domino" and any(root.rebreaks for root in result.roots[:1]):
         yield (
-            "at the fitted stiffness the contact at the edge would be back at its threshold before the front stops: the length "
-            "is that of the first front alone"
+            "at the fitted stiffness the edge contact is back at its threshold before the front stops; the length is that of "
+            "the first front alone"
         )
     if m.block_length is not None and (short := (ratio := m.block_length / result.regime.slow_decay_length) < END).any():
         yield (
-            f"{int(short.sum())} of {len(m)} blocks are shorter than {END:g}/κ₂ (the shortest {np.nanmin(ratio):.2g}/κ₂): the "
-            "lengths depend on the far end, which is taken to be free"
+            f"{int(short.sum())} of {len(m)} blocks are shorter than {END:g}/κ₂ (the shortest {np.nanmin(ratio):.2g}/κ₂); the "
+            "lengths depend on the far end, taken to be free"
         )

@@ -27,9 +27,9 @@ class Identifiability(enum.Enum):
     NOT_CONVERGED = "the search did not converge"
     POOR_FIT = "the model does not describe these data"
     UNINFORMATIVE = "not identifiable: no value is preferred"
-    AT_BOUND = "not identifiable: the best fit lies at an end of the range searched"
+    AT_BOUND = "not identifiable: the best fit is at an end of the range searched"
     AT_MAXIMUM = "not identifiable: the length is at or above the attainable maximum"
-    NO_SCATTER = "a value without an error: the lengths agree too closely to be measurements"
+    NO_SCATTER = "no error: the lengths agree too closely to be measurements"
     SEVERAL_ROOTS = "not identifiable as one number: more than one value fits"
     ONE_SIDED = "bounded on one side only"
     EQUAL = "bounded, without a best value: all values inside the interval fit equally"
@@ -38,6 +38,23 @@ class Identifiability(enum.Enum):
     IDENTIFIED = "identified"
 
 
+ANSWERS = {
+    Identifiability.NOT_CONVERGED: "not-converged",
+    Identifiability.POOR_FIT: "misfit",
+    Identifiability.UNINFORMATIVE: "any-value",
+    Identifiability.AT_BOUND: "at-a-bound",
+    Identifiability.AT_MAXIMUM: "too-long",
+    Identifiability.NO_SCATTER: "no-scatter",
+    Identifiability.SEVERAL_ROOTS: "two-values",
+    Identifiability.ONE_SIDED: "one-sided",
+    Identifiability.EQUAL: "a-range",
+    Identifiability.REBREAKS: "edge-breaks-again",
+    Identifiability.SKEWED: "uneven-error",
+    "none fits": "none-fits",
+    "check first": "check-first",
+}
+"""Headings of `FAQ` by verdict, and by two messages of the report."""
+FAQ = "docs/fit/faq.md"
 GRAVITY = tuple(Identifiability)
 GIVEN = (Identifiability.IDENTIFIED, Identifiability.SKEWED, Identifiability.REBREAKS)
 """Verdicts with a value."""
@@ -90,13 +107,11 @@ def _of_fit(problem: Problem, found: Found, j: int) -> Iterator[Verdict]:
     if (
         p_value is not None and p_value < problem.improbable and not _above_maximum(problem, found)
     ):  # of which `_of_range` says more
-        at = f" (the best fit lies at its {end} end)" if (end := _end(problem, found.theta, j)) else ""
-        misfit = format_number(found.deviance - problem.perfect, 3)
-        told = f"{misfit}{problem.from_priors(found.theta)}{problem.tested(p_value, dof)}"
+        at = f"; the best fit is at the {end} end of the range" if (end := _end(problem, found.theta, j)) else ""
         yield Verdict(
             Identifiability.POOR_FIT,
-            f"{problem.named_deviance} is {told}: with the stated σ nothing in the range searched{at} gives these "
-            "measurements, so no uncertainty is given",
+            f"{problem.fits(found.theta, found.deviance, p_value, dof)}; with the stated σ nothing in the range searched gives "
+            f"these measurements, so no uncertainty is given{at}",
         )
 
 
@@ -113,19 +128,22 @@ def _of_range(problem: Problem, found: Found, j: int, pieces: list[Interval]) ->
         yield from _open(pieces)
         yield Verdict(Identifiability.EQUAL, "every value in the interval gives lengths that are long enough")
     if end := _end(problem, found.theta, j):
-        yield Verdict(Identifiability.AT_BOUND, f"the {end} one; give wider bounds")
+        yield Verdict(
+            Identifiability.AT_BOUND,
+            f"it is the {end} end; widen the range: {m.option('--bounds LOW HIGH', 'bounds=(low, high)')}",
+        )
     if problem.p > 1 and found.roots and found.roots[0].singular[j] and all(every):
         yield Verdict(Identifiability.UNINFORMATIVE, undetermined(problem, found.theta))
     if stiff and _above_maximum(problem, found):
         over = problem.lengths.value[0] / found.attainable
         worst = int(np.argmax(over))
-        times = f"{over[worst]:.3g} times the longest that a stiffness in the range searched gives"
+        times = f"{over[worst]:.3g} times the longest at any stiffness searched"
         yield Verdict(Identifiability.AT_MAXIMUM, f"{m.number(worst)} is {times}; {UNCHANGED}")
     if found.closest is not None:
         yield Verdict(
             Identifiability.NO_SCATTER,
-            f"the lengths lie within {found.closest:.1g} of themselves of the fit, closer than anyone measures: they were "
-            "computed, or copied; give σ, in column length_sigma or length_sigma_mm",
+            f"they match the fit to a relative {format_number(found.closest, 1)}, closer than anyone measures, so they were "
+            "computed or copied; give σ in column length_sigma or length_sigma_mm",
         )
 
 
@@ -138,15 +156,15 @@ def _of_shape(problem: Problem, found: Found, j: int, profiled: Intervals) -> It
     if any(share < least for share, least in zip(covered, COVERED, strict=True)):
         yield Verdict(
             Identifiability.SKEWED,
-            f"in simulations of these measurements a standard error holds the truth in {covered[0]:.0%} of cases, 1.96 of them "
-            f"in {covered[1]:.0%}; use the intervals",
+            f"in simulations one standard error covers the truth in {100 * covered[0]:.0f} % of cases, and 1.96 of them in "
+            f"{100 * covered[1]:.0f} %; use the intervals",
         )
     best, free = found.minima[0], problem.parameters.free[j]
     far = 5 * np.sqrt(best.covariance[j, j])
     for other in found.minima[1:]:  # another valley, only slightly worse, far outside the standard error
         if other.deviance <= found.deviance + SLACK and abs(other.theta[j] - best.theta[j]) > far:
             value, worse = f"{format_number(free.value(other.theta[j]))} {free.unit}".rstrip(), other.deviance - found.deviance
-            reason = f"another valley, at {value}, is worse by a deviance of only {worse:.3g}; use the intervals"
+            reason = f"a second minimum, at {value}, is worse by a deviance of only {worse:.3g}; use the intervals"
             yield Verdict(Identifiability.SKEWED, reason)
 
 
@@ -170,7 +188,7 @@ def _end(problem: Problem, theta: np.ndarray, j: int) -> str:
 
 def _open(pieces: list[Interval]) -> Iterator[Verdict]:
     if any(piece.open_low or piece.open_high for piece in pieces):
-        yield Verdict(Identifiability.ONE_SIDED, "from above" if pieces[0].open_low else "from below")
+        yield Verdict(Identifiability.ONE_SIDED, f"the data give {'an upper' if pieces[0].open_low else 'a lower'} limit only")
 
 
 def _several(problem: Problem, found: Found, j: int, pieces: list[Interval]) -> Iterator[Verdict]:
@@ -202,11 +220,11 @@ def _not_normal(problem: Problem, found: Found, j: int, profiled: Intervals) -> 
         error = np.sqrt(rise_of(LEVELS[0], dof=found.scatter_dof) * found.roots[0].covariance[j, j])
         widths = [abs(end - found.theta[j]) / error for end in (inner[0].low, inner[-1].high)]
         if max(widths) < 0.5 and free.name in STIFFNESSES and not problem.measurements.is_sequence:
-            longest = f"the measured length is almost the longest that any stiffness gives; {UNCHANGED}"
+            longest = f"the measured length is almost the longest at any stiffness; {UNCHANGED}"
             yield Verdict(Identifiability.AT_MAXIMUM, longest)
         if len(inner) > 1 or max(widths) > 1.5 or min(widths) < 1 / 1.5:
-            reach = f"its 68 % interval reaches {widths[0]:.2g} and {widths[1]:.2g} curvature standard errors"
-            yield Verdict(Identifiability.SKEWED, f"the likelihood is far from a normal curve ({reach}); use the intervals")
+            reach = f"the 68 % interval reaches {widths[0]:.2g} standard errors below the value and {widths[1]:.2g} above"
+            yield Verdict(Identifiability.SKEWED, f"the likelihood is far from a normal curve; {reach}; use the intervals")
 
 
 def _breaks_again(problem: Problem, curve: Curve, j: int, pieces: list[Interval]) -> Verdict | None:
@@ -220,11 +238,11 @@ def _breaks_again(problem: Problem, curve: Curve, j: int, pieces: list[Interval]
     again = q.front.breaks_again(inputs.ravel()).reshape(len(value), -1)[:, rows].any(axis=1)
     if not again.any():
         return None
-    share = "everywhere in the 95 % interval" if again.all() else "within the 95 % interval"
+    where = "everywhere" if again.all() else "at some values"
     b = np.exp(inputs.log_b)[:, rows].max()
     return Verdict(
         Identifiability.REBREAKS,
-        f"{share} (b up to {b:.3g}) the contact at the edge is back at its threshold before the front stops; "
+        f"{where} in the 95 % interval the edge contact is back at its threshold before the front stops; b is up to {b:.3g}; "
         f"{whole_events(problem.measurements)}",
     )
 
@@ -253,7 +271,7 @@ def _of_counts(problem: Problem, pieces: list[Interval], at_odds: list[int]) -> 
 
 def _ranges(one: Free, pieces: list[Interval]) -> str:
     each = (" to ".join(format_number(one.value(x)) for x in (piece.low, piece.high)) for piece in pieces)
-    return f"{' and '.join(each)} {one.unit}".rstrip()
+    return f"{' and from '.join(each)} {one.unit}".rstrip()
 
 
 def directions(problem: Problem, theta: np.ndarray) -> list[dict[str, Any]]:

@@ -31,7 +31,7 @@ from slippulse_jax.inference.model.observables import OBSERVED, predicted
 from slippulse_jax.inference.model.parameters import Linear, ParameterSet
 from slippulse_jax.inference.table.columns import READINGS
 from slippulse_jax.inference.table.measurements import Gauges, Measurements
-from slippulse_jax.shown import TIED, listed, plural
+from slippulse_jax.shown import TIED, format_number, listed, plural
 
 STUDENT_DOF = 4.0
 SHARPEST = 1e-3
@@ -44,6 +44,8 @@ SCATTERED = 0.05
 """Probability of χ², or of the largest pull, below which the report remarks on it."""
 LEFT_OUT = 1e12
 """What the variance of a correlated datum that is left out is multiplied by."""
+PART = 0.1
+"""Part of χ² from fitted inputs and priors from which on it is stated."""
 IMPROBABLE = 1e-3
 """Probability of χ² below which model and σ do not describe the data."""
 
@@ -423,14 +425,19 @@ class Problem:
         """``chi-squared``, where it is one."""
         return "chi-squared" if self.plain else "deviance"
 
-    def from_priors(self, theta: np.ndarray) -> str:
-        """State the part of the deviance from fitted inputs and priors.
+    def fits(self, theta: np.ndarray, deviance: float, p_value: float | None, dof: int | None) -> str:
+        """State χ², its probability, and the part from inputs and priors.
 
-        It is that of values off their means, and no residual; empty where there is none.
+        That part is of values off their means, and no residual; it is left out below `PART` of χ².
         """
+        misfit = round(deviance - self.perfect, 9)  # no rounding errors
         parts = self.prior_weight * (theta - self.prior_mean[0]) ** 2
         pulled = dict.fromkeys(one.symbol for one, x in zip(self.parameters.free, parts, strict=True) if x > 0.1 * parts.sum())
-        return f" ({parts.sum():.3g} of it from the fitted {listed([*pulled])})" if f"{parts.sum():.2f}" != "0.00" else ""
+        of = ""
+        if parts.sum() > PART * misfit:
+            of = f"; the fitted {listed([*pulled])} add{'s' * (len(pulled) == 1)} {parts.sum():.3g} of it"
+        tested = "" if p_value is None else self.tested(p_value, dof)
+        return f"{'the ' * (not self.plain)}{self.named_deviance} is {format_number(misfit, 3)}{tested}{of}"
 
     def tested(self, p_value: float | None, dof: int | None) -> str:
         """State ``for 5 degrees of freedom (p = 0.82)``.
