@@ -92,7 +92,7 @@ def differences() -> list[Difference]:
             ),
             Difference(
                 "the first precursor is one front",
-                rf"up to $b = (k/\lambda_c^2)H/G$ = {', '.join(f'{x:.2f}' for x in rebreaking_onset([10, 25, 100, 1e4], 0.3))} at $H/\lambda_c$ = 10, 25, 100, 10⁴ and {theory.rebreaking_b():.4f} for $\lambda_c \to 0$; beyond, contact 0 is back at its threshold before the front stops, breaks again, and the event goes farther than its first front ([The macroscopic limit](../appendix/macroscopic.md#where-the-contact-at-the-edge-breaks-again))",
+                rf"up to $b = (k/\lambda_c^2)H/G$ = {', '.join(f'{x:.2f}' for x in rebreaking_onset([10, 25, 100, 1e4], 0.3))} at $H/\lambda_c$ = 10, 25, 100, 10⁴ and {theory.rebreaking_b():.4f} for $\lambda_c \to 0$; beyond, contact 0 is back at its threshold before the front stops, breaks again, and the event goes farther than its first front ([The macroscopic limit](theory.md#where-the-contact-at-the-edge-breaks-again))",
             ),
             Difference(
                 r"$\Lambda(\epsilon) \approx \Lambda(0)(1-\epsilon)$",
@@ -112,6 +112,8 @@ def differences() -> list[Difference]:
 def page() -> str:
     """Write the page of errata and differences, as Markdown."""
     return f"""# Errata of the paper, and where this project differs
+
+This page lists the paper's misprints, and claims that the model does not bear out. It is for readers who use its equations.
 
 Every number on this page is computed by `docs/tools/errata.py`; a test compares the page with it. Labels are those of the
 paper's LaTeX source. Parameters, unless stated otherwise: Fig. 2, $H/\\lambda_c = 25$, $k/K = 0.03$, $\\nu = 0.3$.

@@ -1,4 +1,4 @@
-"""Regenerate the tables and figures of docs/model/surrogate.md, docs/model/chain.md and docs/model/gradients.md.
+"""Regenerate tables and figures of docs/model/chain.md, gradients.md and their appendices.
 
 python docs/tools/make_cascade_pages.py
 """

@@ -32,12 +32,12 @@ def main():
         sp.recover_profile(measured(0, threshold=threshold), stiffness=STIFFNESS),
         sp.recover_profile(measured(0, prestress=prestress), stiffness=STIFFNESS, kind="prestress"),
     ]
-    with sp.plot.style.use(figure__figsize=(7, 5)):
+    with sp.plot.style.use(figure__figsize=(sp.plot.style.PAGE, 5)):
         figure, rows = plt.subplots(2, 2)
         for row, result, truth in zip(rows, found, (threshold, prestress), strict=True):
             sp.plot.recovered_profile(result, ax=row[0])
             row[0].plot(X, truth, "--", color="k", lw=1, label="true")
-            row[0].legend(fontsize=6)
+            sp.plot.style.legend_above(row[0])
             sp.plot.resolution(result, ax=row[1])
         figure.savefig(Path(__file__).resolve().parents[1] / "pictures" / "fields.png", dpi=150)
     for result in found:

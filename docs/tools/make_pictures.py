@@ -20,6 +20,7 @@ def main() -> None:
     result = sp.fit(sp.read_measurements(DOCS.parent / "fit_examples/pmma_block/lengths.csv"))
     save(sp.plot.fit(result), "fit")
     front = sp.first_precursor(sp.Slider(height=25.0, stiffness=0.03, poisson=0.3))
+    sp.plot.animate(front, DOCS / "pictures" / "front.gif")
     save(sp.plot.gauges(gauges()), "gauges")
     save(precursors(), "precursors")
     save(sp.plot.front_stress(front.front_stress[:40], length=float(front.length)).figure, "tutorial")
@@ -47,12 +48,14 @@ def precursors() -> Any:
         {"h = 0.1 H": {"push": sp.Push(0.1, 0.1)}, "0.25 H": {}, "0.5 H": {"push": sp.Push(0.5, 0.1)}},
         {"L = 1.5 H": {"length": 75}, "2 H": {}, "4 H": {"length": 200}},
     )
-    figure, every = plt.subplots(1, 3, figsize=(10, 3.6), sharey=True, layout="constrained")
+    with sp.plot.style.use(figure__figsize=(sp.plot.style.PAGE, 2.8)):
+        figure, every = plt.subplots(1, 3, sharey=True)
     for ax, cases in zip(every, panels, strict=True):
         for (label, case), colour in zip(cases.items(), ("blue", "orange", "green", "vermilion"), strict=False):
             given = {"push": sp.Push(0.25, 0.1), "length": 100, "friction": 0.25} | case
             block = sp.Block(50.0, 1 / (2.6 * 50), 0.3, **given)
             sp.plot.precursors(sp.series(block, events=600), block, label=label, colour=colour, ax=ax)
+        ax.set_xlabel(ax.get_xlabel().replace(", ", ",\n"))
     for ax in every[1:]:
         ax.set_ylabel("")
     return figure
@@ -61,7 +64,7 @@ def precursors() -> Any:
 def save(figure: Any, name: str) -> None:
     """Write one picture, whole."""
     content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=110 if figure.get_figwidth() > 5 else 180)
+    figure.savefig(content, format="png", dpi=120 if figure.get_figwidth() > 5 else 180)
     write_atomically(DOCS / "pictures" / f"{name}.png", content.getvalue())
 
 

@@ -131,7 +131,7 @@ def _scene(panels: Any, fields: ChainFields, positions: np.ndarray, shown: int) 
         carried.set_ydata(stress[number])
         for line in fronts:
             line.set_xdata([positions[number] - 0.5] * 2)
-        words.set_text(f"{positions[number]} contacts broken{_at_end(number, positions)}")
+        words.set_text(f"contacts broken: {positions[number]}{_at_end(number, positions)}")
         return [on_top, in_layer, carried, *fronts, words]
 
     return frame
@@ -151,7 +151,7 @@ def _scene_of_block(panels: Any, frames: Frames) -> Any:
         mesh.set_array(frames.shear[number, : frames.shown].T)
         carried.set_ydata(stress[number])
         holds.set_ydata(threshold[number])
-        words.set_text(f"{frames.breaks[number]} breaks{_at_end(number, frames.breaks)}")
+        words.set_text(f"breaks: {frames.breaks[number]}{_at_end(number, frames.breaks)}")
         return [mesh, carried, holds, words]
 
     return frame
@@ -168,7 +168,7 @@ def _contact_stress(below: "Axes", x: np.ndarray, stress: np.ndarray, threshold:
 
 
 def _at_end(number: int, frames: np.ndarray) -> str:
-    return ": it stops" if number == len(frames) - 1 else ""
+    return ", it stops" if number == len(frames) - 1 else ""
 
 
 def _writer(path: Path, fps: float) -> Any:

@@ -7,7 +7,19 @@ import numpy as np
 
 from slippulse_jax.inference.design import BIT
 from slippulse_jax.plot.labels import AGAIN, axis_label
-from slippulse_jax.plot.style import PAGE, axes, colours, dashed_where, drawn, handles_of, legend_above, new_figure
+from slippulse_jax.plot.style import (
+    NARROW,
+    SMALL,
+    axes,
+    colours,
+    dashed_where,
+    drawn,
+    handles_of,
+    label_decades,
+    legend_above,
+    new_figure,
+    width_of,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,10 +29,15 @@ if TYPE_CHECKING:
     from slippulse_jax.inference.knowledge import Knowledge
 
 
-def design_figure(found: "Design", *, ax: "Axes | None" = None) -> "Figure":
-    """Draw `design` and `design_lengths` side by side."""
-    with new_figure(PAGE, 1.2 + max(1.8, 0.3 * len(found.candidates)), ax) as figure:
-        left, right = figure.subplots(1, 2)
+def design_figure(found: "Design", *, width: float | None = None, ax: "Axes | None" = None) -> "Figure":
+    """Draw `design` and `design_lengths` side by side.
+
+    `width` in mm and `ax` are those of `fit`.
+    """
+    wide, high = width_of(width, ax), max(1.8, 0.3 * len(found.candidates))
+    beside = wide >= NARROW
+    with new_figure(wide, 1 + high if beside else 3.5 + high, ax) as figure:
+        left, right = figure.subplots(*(1, 2) if beside else (2, 1))
         design(found, ax=left)
         design_lengths(found, ax=right)
     return figure
@@ -39,9 +56,9 @@ def design(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
         said = f"ln k ± {found.log_stderr[i]:.2g}"
         if len(found.knowledge.roots) > 1:
             said += f", roots apart {found.told_apart[i]:.0%}"
-        ax.text(longer + 0.015 * bits.max(), float(place), said, va="center", fontsize="x-small", color=c.grey)
+        ax.text(longer + 0.015 * bits.max(), float(place), said, va="center", fontsize=SMALL - 0.5, color=c.grey)
     ax.set_yticks(y, np.array(found.names)[order])
-    room = 1.9 if len(found.knowledge.roots) > 1 else 1.4
+    room = 2.3 if len(found.knowledge.roots) > 1 else 1.5  # for what is written beside the longest
     ax.set(xlabel="expected information (bits)", xlim=(0, room * bits.max()))
     return ax
 
@@ -83,7 +100,10 @@ def design_lengths(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
         ylabel="length over height, $\\ell/H$ (± σ)",
         ylim=(base, top + 0.1 * (top - base) if top > 0 else 1),
     )
-    legend_above(ax, handles_of(ax, again=bool(again[:, shown].any())), most=3)  # lengths and density leave no corner free
+    label_decades(ax.xaxis)
+    some = f"the {len(shown)} most informative of {len(found.names)}" if len(shown) < len(found.names) else None
+    # lengths and density leave no corner free
+    legend_above(ax, handles_of(ax, again=bool(again[:, shown].any())), title=some)
     return ax
 
 

@@ -1,7 +1,6 @@
 """Pictures of one event, and of series of events."""
 
 import warnings
-from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
@@ -15,7 +14,7 @@ from slippulse_jax.events.rupture import Rupture
 from slippulse_jax.front.sensitivity import Sensitivity
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.plot.labels import DISTANCE, EXTENT, as_written, axis_label
-from slippulse_jax.plot.style import ABOVE, axes, colours, drawn, handles_of
+from slippulse_jax.plot.style import axes, colours, drawn, legend_above
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,8 +27,8 @@ COLOURS = {
 }
 """Colour of each class of event, by its name in `slippulse_jax.plot.style.Colours`."""
 
-NAMES = {EventClass.RENUCLEATED: "at an earlier arrest"}
-"""Legend entry of a class whose name says too little."""
+LARGE_DROP = 0.1
+"""Drops of the force that are marked, over the largest."""
 
 OVER_STRENGTH = r"force over strength of all contacts, $F/\Sigma\sigma_s\lambda_c^2$"
 OVER_FRICTION = {  # of blocks with friction; a held top presses more or less as the push grows
@@ -62,7 +61,7 @@ def displacements(
             ax.plot(np.asarray(state.upper)[shown], style, color=c.blue, label=f"upper $u_t${when}")
             ax.plot(np.asarray(state.layer)[shown], style, color=c.vermilion, label=f"layer $u${when}")
     ax.set(xlabel=DISTANCE, ylabel=axis_label("displacement", "u_s"))
-    ax.legend(**ABOVE, ncols=3)
+    legend_above(ax, most=2)
     return ax
 
 
@@ -88,7 +87,7 @@ def stress(
     if chain is not None:
         ax.plot(np.asarray(chain.threshold)[shown], ":", color=c.grey, label="threshold")
     ax.set(xlabel=DISTANCE, ylabel=axis_label("stress", "σ_s"))
-    ax.legend(**ABOVE, ncols=3)
+    legend_above(ax)
     return ax
 
 
@@ -108,8 +107,7 @@ def front_stress(
     if length is not None and np.isfinite(length):
         ax.axvline(length, color=c.vermilion, linestyle="--", label=f"$\\ell = {float(length):.2f}\\,\\lambda_c$")
     ax.set(xlabel="contact, $s$ (distance from the trailing edge in $\\lambda_c$)", ylabel=axis_label("front_stress", "σ_s"))
-    # above the Axes: inside, it would lie on the threshold or on the curve
-    ax.legend(**ABOVE, ncols=3)
+    legend_above(ax)  # inside, it would lie on the threshold or on the curve
     return ax
 
 
@@ -132,9 +130,19 @@ def break_order(found: Rupture, *, ax: "Axes | None" = None) -> "Axes":
 
 @drawn
 def sensitivity(found: Sensitivity, *, sites: int | None = None, ax: "Axes | None" = None) -> "Axes":
-    """Draw the derivatives of the length by every threshold and prestress."""
+    """Draw the derivatives of the length by every threshold and prestress.
+
+    Parameters
+    ----------
+    found : Sensitivity
+    sites : int, optional
+        Number of contacts to show; by default up to a little beyond the arrest, behind which all derivatives are 0.
+    ax : matplotlib.axes.Axes, optional
+    """
     ax = axes(ax)
     c = colours(ax)
+    if sites is None and np.isfinite(found.length):
+        sites = int(1.15 * float(found.length)) + 2
     shown = slice(sites)
     theta, phi = np.asarray(found.threshold)[shown], np.asarray(found.prestress)[shown]
     x = np.arange(theta.size)
@@ -145,33 +153,38 @@ def sensitivity(found: Sensitivity, *, sites: int | None = None, ax: "Axes | Non
     if np.isfinite(length):
         ax.axvline(length, color=c.green, linestyle="--", linewidth=1, label=f"$\\ell = {length:.2f}\\,\\lambda_c$")
     ax.set_yscale("symlog", linthresh=1, linscale=0.7)
-    ax.set(xlabel=DISTANCE, ylabel="derivative of $\\ell$, $\\lambda_c/\\sigma_s$")
-    ax.legend(**ABOVE, ncols=3)
+    ax.set(xlabel=DISTANCE, ylabel="derivative of $\\ell$ ($\\lambda_c/\\sigma_s$)")
+    legend_above(ax)
     return ax
 
 
 @drawn
 def friction_curve(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
-    """Draw the force on the left edge against the load."""
+    """Draw the driving force against the load.
+
+    Points mark where events begin that drop the force by at least a tenth of the largest drop, coloured by class.
+    """
     ax = axes(ax)
     c = colours(ax)
     events = table(catalogue)
     load = np.repeat(np.append(0.0, events["load"]), 2)[1:]
     force = np.append(0.0, np.stack([events["force_before"], events["force_after"]], axis=1).ravel())
-    ax.plot(load, force, color=c.ink, lw=1)
-    _points(ax, events["load"], events["force_before"], events["kind"], (EventClass.EDGE, EventClass.SPANNING))
-    ax.set(xlabel=axis_label("load", "u_s"), ylabel="force on the left edge, $F/(K u_s)$")
+    ax.plot(load, force, color=c.ink, lw=1, label="force")
+    drop = events["force_before"] - events["force_after"]
+    large = drop >= LARGE_DROP * drop.max(initial=0)
+    _points(ax, *(events[name][large] for name in ("load", "force_before", "kind")), ms=5)
+    ax.set(xlabel=axis_label("load", "u_s"), ylabel="driving force, $F/(K u_s)$")
     ax.margins(x=0.02)
-    ax.legend(**ABOVE, ncols=2, title="event", alignment="left")
+    legend_above(ax, title="points: drops of at least a tenth of the largest")
     return ax
 
 
-def _points(ax: "Axes", x: np.ndarray, y: np.ndarray, kinds: np.ndarray, shown: Iterable[EventClass], **look: Any) -> None:
-    """Draw the points of some classes of events, each in its colour."""
-    for kind in shown:
-        chosen, name = kinds == kind, NAMES.get(kind, kind.name.lower())
+def _points(ax: "Axes", x: np.ndarray, y: np.ndarray, kinds: np.ndarray, **look: Any) -> None:
+    """Draw points of events, each class in its colour."""
+    for kind, colour in COLOURS.items():
+        chosen = kinds == kind
         if chosen.any():
-            ax.plot(x[chosen], y[chosen], ".", color=getattr(colours(ax), COLOURS[kind]), label=name, **look)
+            ax.plot(x[chosen], y[chosen], ".", color=getattr(colours(ax), colour), label=kind.name.lower(), **look)
 
 
 @drawn
@@ -221,18 +234,19 @@ def precursors(
     force, extent = events["force_before"] / strength, events["extent"]
     farthest = np.maximum.accumulate(np.append(0, extent))
     advance, spans, edge = extent - farthest[:-1], events["kind"] == EventClass.SPANNING, events["site"] == 0
-    ax.plot(force[advance > 0], extent[advance > 0] / contacts, color=c, lw=1, label=as_written(label) if label else None)
+    name_of_line = as_written(label) if label else "farthest contact broken"
+    ax.plot(force[advance > 0], extent[advance > 0] / contacts, color=c, lw=1, label=name_of_line)
     for chosen, marker, size, what in (((advance > least_advance) & ~spans, "o", 3, "precursor"), (spans, "D", 5, "spanning")):
         for here, style in ((chosen & edge, "full"), (chosen & ~edge, "none")):
             if here.any():
                 look = {"ms": size, "color": c, "fillstyle": style, "label": None if label else what}
                 ax.plot(force[here], extent[here] / contacts, marker, **look)
-    right = max(1.05 * force.max(initial=0), ax.get_xlim()[1] if ax.get_xlim()[0] == 0 else 0)
     name = name if ax.get_xlabel() in ("", name) else OVER_STRENGTH  # of what else is drawn
-    ax.set(xlabel=name, ylabel=EXTENT, xlim=(0, right), ylim=(0, 1.05))
+    ax.margins(x=0.08)
+    ax.set(xlabel=name, ylabel=EXTENT, ylim=(0, 1.05))
     opened = any(line.get_fillstyle() == "none" for line in ax.lines)
     title = "open: does not begin at the edge" if opened else None
-    ax.legend(handles=handles_of(ax, again=False), **ABOVE, ncols=2, title=title, title_fontsize="small", alignment="left")
+    legend_above(ax, title=title)
     return ax
 
 
@@ -251,7 +265,8 @@ def _driving(body: Block | Chain, interface: Interface | Profile | None) -> tupl
 def space_time(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
     """Draw every recorded break, load against site.
 
-    The colour is the class of the event. Breaks that were not recorded give a warning.
+    The colour is the class of the event; a renucleated one begins where an earlier one was arrested. Breaks that were not
+    recorded give a warning.
     """
     ax = axes(ax)
     site, event = np.asarray(catalogue.break_site), np.asarray(catalogue.break_event)
@@ -264,7 +279,7 @@ def space_time(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
         warnings.warn(f"{missing}: make the series with recorded_breaks={breaks}", RuntimeWarning, stacklevel=3)
     site, event = site[recorded], event[recorded]
     load, kinds = np.asarray(catalogue.load)[event], np.asarray(catalogue.kind)[event]
-    _points(ax, site, load, kinds, COLOURS, ms=3)
+    _points(ax, site, load, kinds, ms=3)
     ax.set(xlabel=DISTANCE, ylabel=axis_label("load", "u_s"))
-    ax.legend(**ABOVE, ncols=2, title="event", alignment="left", markerscale=3)
+    legend_above(ax, markerscale=2, title="breaks, by the class of the event")
     return ax

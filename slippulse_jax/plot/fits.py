@@ -3,7 +3,7 @@
 import itertools
 import textwrap
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -14,11 +14,13 @@ from slippulse_jax.inference.result.report import title
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.inference.search.intervals import LEVELS, profile_2d
 from slippulse_jax.inference.table.columns import READINGS
-from slippulse_jax.plot.labels import EXTENT, OVER_LOAD, as_written, axis_label, equation, printed
+from slippulse_jax.plot.labels import DISTANCE_MM, EXTENT, OVER_LOAD, POSITION, as_written, axis_label, equation, printed
 from slippulse_jax.plot.style import (
-    ABOVE,
     COLUMN,
+    FRAMELESS,
+    NARROW,
     PAGE,
+    SMALL,
     Colours,
     axes,
     colours,
@@ -29,12 +31,14 @@ from slippulse_jax.plot.style import (
     legend_above,
     letter_panels,
     new_figure,
+    width_of,
 )
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
+    from matplotlib.legend import Legend
 
     from slippulse_jax.inference.fit import FitResult
     from slippulse_jax.inference.model.parameters import Free
@@ -48,43 +52,70 @@ MARKERS, BEYOND = "osDXv<>P", "^"
 """Of specimens, and of fronts without arrest."""
 MEASURED = "measured"
 """Name of the measurements where no specimens are told apart."""
-TITLE = 132
-"""Most characters per line of a title, which then fits a page of 170 mm."""
+CAPTION = 132
+"""Most characters per line of a caption that fits a page of 170 mm."""
 SPANNING = "D"
 """Of the event of a sequence that spans the block."""
 DRAWS = 40
 """Series of which 95 % lie in the band of a sequence."""
-GAUGE_UNITS = {"slip": (1e6, "slip (µm)"), "stress": (1e-6, "contact stress after arrest (MPa)")}
+AROUND = 1.5
+"""Decades of stiffness that are drawn on either side of its interval."""
+BESIDE: dict[str, Any] = {"textcoords": "offset points", "va": "center", "fontsize": SMALL, "annotation_clip": False}
+"""Of words at the right of the Axes."""
+GAUGE_UNITS = {"slip": (1e6, "slip (µm)"), "stress": (1e-6, "contact stress, $t$ (MPa)")}
 
 
-def fit(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
+def fit(result: "FitResult", *, caption: bool = False, width: float | None = None, ax: "Axes | None" = None) -> "Figure":
     """Draw a fit: lengths, residuals, and length versus stiffness or profiles.
 
     Lengths are drawn against height; the extent of a sequence against the force (`fit_sequence`), its events by another
     function (`sequence_events`). A single stiffness is drawn against the lengths. Of several parameters the profiles of the
-    first four are drawn, without those that a prior holds if there are others; `fit_profiles` draws all. The title has the
-    result, the material and the specimens. With `ax`, the panels take its place.
+    first four are drawn, without those that a prior holds if there are others; `fit_profiles` draws all.
+
+    Parameters
+    ----------
+    result : FitResult
+    caption : bool
+        Whether to write result, verdict, material and specimens above the panels.
+    width : float, optional
+        Of the figure, in mm; by default that of a page. In a column the panels stand one below the other.
+    ax : matplotlib.axes.Axes, optional
+        One of a grid; the panels take its place.
     """
-    names = _determined(result)[:4]
-    heading = [as_written(line, TITLE) for line in title(result, TITLE)]
-    with new_figure(PAGE, max(3.9, 1.5 + 1.4 * len(names)) + 0.13 * len(heading), ax) as figure:
-        figure.suptitle("\n".join(heading), x=0.01, ha="left", fontsize="small")
-        grid = figure.add_gridspec(2, 2, height_ratios=[4, 1])
-        above, right = figure.add_subplot(grid[0, 0]), grid[:, 1]  # where one panel is level with the lengths
+    names, wide = _determined(result)[:4], width_of(width, ax)
+    sequence, beside = isinstance(result.parameters.front, BlockSequence), wide >= NARROW
+    one = len(result.parameters.free) == 1 and "stiffness" in names[0] and not sequence
+    most = round(CAPTION * wide / PAGE)
+    heading = [as_written(line, most) for text in title(result, most) for line in textwrap.wrap(text, most)] if caption else []
+    # heights of lengths with residuals, and of other panels
+    left, each = 2.7 + 0.6 * (sequence or not beside), 2.1 if one else 1.6
+    high = max(left, each * len(names)) if beside else left + each * len(names)
+    with new_figure(wide, high + 0.12 * len(heading), ax) as figure:
+        if caption:
+            figure.suptitle("\n".join(heading), x=0.01, ha="left", fontsize=SMALL)
+        if beside:
+            grid = figure.add_gridspec(2, 2, height_ratios=[3, 1])
+            places, right = [grid[0, 0], grid[1, 0]], grid[:, 1]  # where one panel is level with the lengths
+        else:
+            grid = figure.add_gridspec(2, 1, height_ratios=[left, each * len(names)])
+            places, right = [*grid[0].subgridspec(2, 1, height_ratios=[3, 1])], grid[1]
+        above = figure.add_subplot(places[0])
         others = [figure.add_subplot(place) for place in (right.subgridspec(len(names), 1) if len(names) > 1 else [right])]
-        below = figure.add_subplot(grid[1, 0])
-        sequence = isinstance(result.parameters.front, BlockSequence)
+        below = figure.add_subplot(places[1])
         (fit_sequence if sequence else fit_lengths)(result, ax=above)
         residuals(result, along_height=True, ax=below)
         if not sequence:
             above.set_xlabel("")
             above.tick_params(labelbottom=False)
             below.set_xlim(above.get_xlim())
-        if len(result.parameters.free) == 1 and "stiffness" in names[0] and not sequence:
+        if one:
             length_versus_stiffness(result, ax=others[0])
         else:
             _profiles(result, list(zip(names, others, strict=True)))
         letter_panels(above, below, *others)
+        if ax is None:  # with room for the legends
+            legends = [legend.get_window_extent().height / figure.dpi for a in figure.axes if (legend := a.get_legend())]
+            figure.set_figheight(figure.get_figheight() + (max if beside else sum)(legends))
     return figure
 
 
@@ -105,7 +136,7 @@ def _profiles(result: "FitResult", panels: "list[tuple[str, Axes]]") -> None:
     entries: dict[str, Any] = {}
     for name, panel in panels:
         _profile(result, name, panel)
-        if len(panels) > 2:
+        if len(panels) > 1:
             panel.set_ylabel("rise of\nthe deviance")
         if legend := panel.get_legend():
             for text, handle in zip(legend.get_texts(), legend.legend_handles, strict=True):
@@ -124,12 +155,16 @@ def _profile(result: "FitResult", name: str, ax: "Axes") -> None:
     profile(result, name, ax=ax, color=own[0] if len(own) == 1 else None)
 
 
-def fit_profiles(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
-    """Draw the profile of every fitted parameter, and the residuals."""
+def fit_profiles(result: "FitResult", *, width: float | None = None, ax: "Axes | None" = None) -> "Figure":
+    """Draw the profile of every fitted parameter, and the residuals.
+
+    `width` in mm and `ax` are those of `fit`.
+    """
     count = len(result.names) + 1
-    columns = min(count, 3)
+    wide = width_of(width, ax, PAGE * min(max(count, 2), 3) / 3)
+    columns = min(count, 3 if wide > 0.9 * PAGE else 2 if wide >= NARROW - 0.5 else 1)
     rows = -(-count // columns)
-    with new_figure(PAGE * max(columns, 2) / 3, 2.4 * rows, ax) as figure:
+    with new_figure(wide, 2.3 * rows, ax) as figure:
         panels = np.ravel(figure.subplots(rows, columns, squeeze=False))
         for name, panel in zip(result.names, panels, strict=False):
             _profile(result, name, panel)
@@ -140,13 +175,18 @@ def fit_profiles(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
     return figure
 
 
-def corner(result: "FitResult", samples: Any = None, *, nodes: int = 61, ax: "Axes | None" = None) -> "Figure":
+def corner(
+    result: "FitResult", samples: Any = None, *, nodes: int = 61, width: float | None = None, ax: "Axes | None" = None
+) -> "Figure":
     """Draw the confidence regions of every pair of fitted parameters.
 
-    `samples` and `nodes` are those of `confidence_region`. With `ax`, an Axes of a grid, the panels take its place.
+    `samples` and `nodes` are those of `confidence_region`; `width` in mm and `ax` are those of `fit`. Three parameters need the
+    width of a page.
     """
     names = result.names
-    with new_figure(max(2.4 * len(names), COLUMN), 2.2 * len(names), ax) as figure:
+    wide = width_of(width, ax, max(2.2 * len(names), COLUMN))
+    entries: dict[str, Any] = {}
+    with new_figure(wide, 0.9 * max(wide, COLUMN), ax) as figure:
         panels = figure.subplots(len(names), len(names), squeeze=False)
         for (row, column), panel in np.ndenumerate(panels):
             if column > row:
@@ -157,17 +197,35 @@ def corner(result: "FitResult", samples: Any = None, *, nodes: int = 61, ax: "Ax
             else:
                 confidence_region(result, names[column], names[row], samples, nodes=nodes, ax=panel)
                 panel.set_title("")
-            if row < len(names) - 1:
-                panel.set_xlabel("")
-            if 0 < column < row:
-                panel.set_ylabel("")
+            panel.set_xlabel(panel.get_xlabel() if row == len(names) - 1 else "")
+            panel.set_ylabel("" if 0 < column < row else panel.get_ylabel())
+            if wide < 1.9 * len(names):
+                _abridge(panel)
+            if (legend := panel.get_legend()) and len(names) > 1:
+                entries |= {
+                    text.get_text(): handle for text, handle in zip(legend.get_texts(), legend.legend_handles, strict=True)
+                }
+                legend.remove()
+        if entries:  # in the empty corner
+            figure.legend([*entries.values()], [*entries], **FRAMELESS, loc="upper right")
     return figure
 
 
-def gauges(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
+def _abridge(panel: "Axes") -> None:
+    """Label a small panel by symbols, with few ticks."""
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_label_text(axis.get_label_text().split(", ", 1)[-1].replace(" (", "\n(").replace(" the", "\nthe"))
+        axis.get_label().set_fontsize(SMALL)
+    panel.locator_params(nbins=2)
+    panel.tick_params(labelsize=6)
+    for text in panel.texts:
+        text.set_visible(False)
+
+
+def gauges(result: "FitResult", *, width: float | None = None, ax: "Axes | None" = None) -> "Figure":
     """Draw gauge readings of slip and stress, and the fitted fields.
 
-    Readings are drawn ± σ, with one colour per precursor.
+    Readings are drawn ± σ, with one colour per precursor. `width` in mm and `ax` are those of `fit`.
 
     Raises
     ------
@@ -176,8 +234,10 @@ def gauges(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
     """
     readings = _readings(result)
     names = [name for name in READINGS if readings.there(name).any()]
-    with new_figure(PAGE * len(names) / 2, 2.8, ax) as figure:
-        panels = np.ravel(figure.subplots(1, len(names), squeeze=False))
+    wide = width_of(width, ax, PAGE * len(names) / 2)
+    rows = 1 if wide >= NARROW else len(names)
+    with new_figure(wide, 2.5 * rows, ax) as figure:
+        panels = np.ravel(figure.subplots(rows, len(names) // rows, squeeze=False))
         for name, panel in zip(names, panels, strict=True):
             gauge_readings(result, name, ax=panel)
         letter_panels(*panels)
@@ -188,9 +248,10 @@ def gauges(result: "FitResult", *, ax: "Axes | None" = None) -> "Figure":
 def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     """Draw measured lengths against height, and the fitted curve.
 
-    Against the height of the push where one block was pushed at several. With its 95 % band, and the longest lengths possible.
-    The curve is dashed where the edge contact breaks again before the front stops, so that the event goes on. Ticks mark the
-    fitted lengths that lie off it, where inputs differ between the points of a curve. A ValueError for a sequence.
+    Against the height of the push where one block was pushed at several. With its 95 % band, and the lengths that no stiffness
+    gives. The curve is dashed where the edge contact breaks again before the front stops, so that the event goes on. Ticks mark
+    the fitted lengths that lie off it, where inputs differ between the points of a curve. Points are open where several are at
+    the same place. A ValueError for a sequence.
     """
     from matplotlib.patches import Patch
 
@@ -215,12 +276,11 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
         dashed_where(ax, x, curve.length * size, curve.breaks_again, color=color, label=name)
         for low, high in () if result.rejected else curve.bands:
             ax.fill_between(x, low * size, high * size, color=color, alpha=0.25, lw=0)
-            bands.append(np.max(high - low))
-        ax.plot(x, longest, color=c.grey, lw=0.8)
+            bands.append(np.max(high - low) * size)
         top = max(top, 1.12 * np.nanmax(longest, initial=0.0), 1.05 * (m.length * scale)[rows].max())
     x, longest, _ = max(curves, key=lambda one: np.nanmax(one[1], initial=0.0))
-    label = "longer than the model allows"
-    beyond = ax.fill_between(x, longest, 10 * np.nanmax(longest, initial=0.0), color=c.grey, alpha=0.15, lw=0, label=label)
+    label = "longer than possible"
+    beyond = ax.fill_between(x, longest, 10 * np.nanmax(longest, initial=0.0), fc=c.grey, alpha=0.15, lw=0, label=label)
     _draw_data(result, ax)
     _draw_fitted(result, ax, 0.01 * top)
     ax.set(xlabel=axis_label(along, unit), ylabel=axis_label("length", unit))
@@ -228,11 +288,11 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     ax.set_ylim(0, top)
     handles = handles_of(ax, again=any(again for *_, again in curves))
     if not result.rejected:
-        thin = max(bands, default=0) < 0.012 * m.length.max()
-        label = f"{BAND_LEVEL:.0%} band" + " (thinner than the line)" * bool(thin)
+        thin = max(bands, default=0) < 0.03 * top
+        label = f"{BAND_LEVEL:.0%} band" + " (thin)" * bool(thin)
         band = Patch(color=c.blue if len(groups) == 1 else c.ink, alpha=0.25, lw=0, label=label)
         handles.insert(handles.index(beyond), band)
-    legend_above(ax, handles, most=2, title="Lengths and fit")
+    legend_above(ax, handles, most=2)
     return ax
 
 
@@ -252,8 +312,9 @@ def _longest(result: "FitResult", rows: np.ndarray, height: np.ndarray, along: s
 
 def _draw_data(result: "FitResult", ax: "Axes") -> None:
     m, kind, scale = result.measurements, np.array(result.measurements.kind), result.measurements.unit[0]
-    x, y, sigma = _apart(result), m.length * scale, result.sigma * scale
-    style: dict[str, Any] = {"capsize": 2, "zorder": 3, "linestyle": "none"}
+    x, y, sigma = _places(result), m.length * scale, result.sigma * scale
+    style: dict[str, Any] = {"capsize": 2, "zorder": 3, "linestyle": "none", "elinewidth": 0.8, **_open_where_shared(result)}
+    thick: dict[str, Any] = style | {"elinewidth": 3}
     for marker, color, name, rows in _series(result, ax):
         plain, whole, beyond = (rows[kind[rows] == one] for one in ("length", "whole", "at_least"))
         if plain.size:
@@ -261,14 +322,14 @@ def _draw_data(result: "FitResult", ax: "Axes") -> None:
         if whole.size:
             half, label = scale[whole] / 2, "whole contacts" if name == MEASURED else f"{name}, counted"
             ends = y[whole] - half, half + sigma[whole]
-            ax.errorbar(x[whole], *ends, fmt="none", elinewidth=3, color=color, label=label, **style)
+            ax.errorbar(x[whole], *ends, fmt="none", color=color, label=label, **thick)
         if beyond.size:
-            ax.plot(x[beyond], y[beyond], BEYOND, color=color, ms=6, label="at least this long: no arrest seen")
+            ax.plot(x[beyond], y[beyond], BEYOND, color=color, ms=6, label="at least this long")
 
 
 def _draw_fitted(result: "FitResult", ax: "Axes", visible: float) -> None:
     """Mark fitted lengths farther than `visible` from their mean curve."""
-    m, fitted, along, x = result.measurements, result.fitted, result.groups[0], _apart(result)
+    m, fitted, along, x = result.measurements, result.fitted, result.groups[0], _places(result)
     scale = m.unit[0]
     for color, rows in _curves(result, ax):
         curve = result.curve(rows, getattr(m, along)[rows], along=along).length
@@ -313,20 +374,16 @@ def _palette(c: Colours, count: int) -> Sequence[str]:
     return [to_hex(colormaps["viridis"](0.95 * number / (count - 1))) for number in range(count)]
 
 
-def _apart(result: "FitResult") -> np.ndarray:
-    """Places of measurements along the axis, in the table's unit.
+def _places(result: "FitResult") -> np.ndarray:
+    """Places of measurements along the axis, in the table's unit."""
+    return getattr(result.measurements, result.groups[0]) * result.measurements.unit[0]
 
-    Those that coincide on a curve are a little apart.
-    """
-    along, groups = result.groups
-    at = getattr(result.measurements, along) * result.measurements.unit[0]
-    x, step = at.copy(), 0.012 * (np.ptp(at) or 0.3 * np.abs(at).max())
-    for group in groups:
-        for value in np.unique(at[group]):
-            rows = group[at[group] == value]
-            reach = min(2, (len(rows) - 1) / 2) * step
-            x[rows] += np.linspace(-reach, reach, len(rows)) if len(rows) > 1 else 0
-    return x
+
+def _open_where_shared(result: "FitResult") -> dict[str, Any]:
+    """Open markers if several measurements are at one place of a curve."""
+    at = _places(result)
+    shared = any(len(np.unique(at[rows])) < len(rows) for rows in result.groups[1])
+    return {"mfc": "none"} if shared else {}
 
 
 def _check_lengths(result: "FitResult") -> None:
@@ -368,7 +425,7 @@ def fit_sequence(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
             ax.errorbar(*at, along[own], stated[own], fmt=sign, ms=wide, capsize=2, label=label, **look)
             ax.errorbar(*at, None, used[own], fmt="none", elinewidth=0.6, label="± σ with the model's", **look)
     ax.set(xlabel=name, ylabel=EXTENT, ylim=(0, 1.06))
-    legend_above(ax, handles_of(ax, again=False), most=2, title="Sequence and fit")
+    legend_above(ax, most=2)
     return ax
 
 
@@ -425,7 +482,7 @@ def sequence_events(result: "FitResult", name: str | None = None, *, ax: "Axes |
     events = found.end[0] > 0
     force, load, begin, end = (x[0][events] for x in (found.force, found.load, found.begin, found.end))
     bars = ax.hlines(load, begin, end, array=force, cmap="cividis", lw=1.5)
-    ax.set(xlabel="distance from the pushed edge, $x/L$", ylabel=axis_label("load", "u_s"), xlim=(0, 1.02))
+    ax.set(xlabel=f"{POSITION}, $x/L$", ylabel=axis_label("load", "u_s"), xlim=(0, 1.02))
     ax.set_title(f"Events: {_best(result)}" + f", {as_written(own)}" * bool(own))
     ax.figure.colorbar(bars, ax=ax, label=label)
     return ax
@@ -435,15 +492,15 @@ def sequence_events(result: "FitResult", name: str | None = None, *, ax: "Axes |
 def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     """Draw ℓ/H against stiffness for up to six measured heights.
 
-    Of the block, or of its push. With the measured ℓ/H, and the interval of the stiffness; dashed, and a ValueError, as in
-    `fit_lengths`.
+    Of the block, or of its push. With the measured ℓ/H, and the interval of the stiffness, a decade and a half around which is
+    drawn; dashed, and a ValueError, as in `fit_lengths`.
     """
     _check_lengths(result)
     ax = axes(ax)
     c = colours(ax)
     m, q, (scale, unit), along = result.measurements, result.parameters, result.measurements.unit, result.groups[0]
     at = getattr(m, along)
-    theta = np.linspace(q.low[0], q.high[0], 301)
+    theta = _around(result)
     stiffness = np.exp(theta)
     # in the order of the axis, and of the curves where heights are equal
     conditions = sorted(alike(result, result.theta), key=lambda rows: round(float(at[rows[0]]), 9))
@@ -453,11 +510,10 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
     differ = _differing(one if along == "height" else one.without("log_push"), [np.full(len(shown), True)])
     largest, highest, any_again = np.zeros_like(theta), 0.0, False
     palette = (*c.data[:-1], c.ink)  # the last two blues look alike
-    for number, (color, rows) in enumerate(zip(palette, shown, strict=False)):
-        i = rows[0]
-        place = [equation(along, float(at[i] * scale[i]), unit)] if np.ptp(at[first]) > 0 or not differ else []
-        name = ", ".join([*place, *(f"{sign} = {x[number]:.3g}" for sign, x in differ)])
-        name += f" ({len(rows)}×)" if len(rows) > 1 else ""
+    places = [[equation(along, float(at[i] * scale[i]), unit)] if np.ptp(at[first]) > 0 or not differ else [] for i in first]
+    labels = [", ".join([*place, *(f"{sign} = {x[i]:.3g}" for sign, x in differ)]) for i, place in enumerate(places)]
+    for color, rows, label in zip(palette, shown, _told_apart(result, labels, shown), strict=False):
+        i, name = rows[0], label + (f" ({len(rows)}×)" if len(rows) > 1 else "")
         curve = result.curve(i, at[i], theta[:, None], along=along)
         share, again = curve.length[:, 0] / m.height[i], curve.breaks_again[:, 0]
         dashed_where(ax, stiffness, share, again, color=color, label=name)
@@ -475,16 +531,35 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
     ax.set_xscale("log")
     if (top := largest.max()) > 0:
         # from where a precursor reaches a hundredth of the longest
-        ax.set_xlim(stiffness[largest > 0.01 * top][0], stiffness[-1])
+        ax.set_xlim(*stiffness[np.flatnonzero(largest > 0.01 * top)[[0, -1]]])
         ax.set_ylim(0, 1.1 * max(top, highest))
     _name(q.free[0], ax.xaxis)
     ax.set_ylabel(r"length over height, $\ell/H$")
     kinds = np.array(m.kind)[np.concatenate(shown)]
     bands = [text for kind, text in (("length", "measured ± σ"), ("whole", "counted contacts")) if kind in kinds]
     said = [f"Bands: {' or '.join(bands)}"] * bool(bands) + ["Dotted: at least this long"] * ("at_least" in kinds)
-    look = {"columnspacing": 0.8, "handlelength": 1.2, "title": "\n".join(said)}
-    legend_above(ax, handles_of(ax, again=any_again), most=3, **look)
+    said += [f"{len(shown)} of {len(conditions)} conditions"] * (len(shown) < len(conditions))
+    legend_above(ax, handles_of(ax, again=any_again), columnspacing=0.8, handlelength=1.2, title="\n".join(said))
     return ax
+
+
+def _around(result: "FitResult") -> np.ndarray:
+    """Logarithms of stiffnesses around those that the lengths allow, for curves."""
+    q = result.parameters
+    pieces = result.intervals[result.names[0]][BAND_LEVEL]
+    ends = np.log([end for piece in pieces for end in (piece.low, piece.high)] or [result.values[result.names[0]]])
+    reach = AROUND * np.log(10)
+    return np.linspace(max(q.low[0], ends.min() - reach), min(q.high[0], ends.max() + reach), 301)
+
+
+def _told_apart(result: "FitResult", labels: list[str], shown: list[np.ndarray]) -> list[str]:
+    """Add specimens, or lines of the table, to labels that are alike."""
+    m = result.measurements
+    named = [", ".join(dict.fromkeys(as_written(m.specimen[row]) for row in rows)) if m.specimen else "" for rows in shown]
+    for more in (named, [as_written(m.place(rows[0])) for rows in shown]):
+        alike = [labels.count(label) > 1 for label in labels]
+        labels = [f"{label}, {own}" if again and own else label for label, again, own in zip(labels, alike, more, strict=True)]
+    return labels
 
 
 def _measured_share(result: "FitResult", rows: np.ndarray) -> tuple[float, float]:
@@ -520,27 +595,31 @@ def residuals(result: "FitResult", *, along_height: bool = False, ax: "Axes | No
         label, x, further, first, beyond = EXTENT, front.place, result.further, front.first, (SPANNING, 5)
         ax.set_xlim(0, 1.06)
     elif along_height:
-        label, x = axis_label(result.groups[0], m.unit[1]), _apart(result)
+        label, x = axis_label(result.groups[0], m.unit[1]), _places(result)
     else:
         label, x = axis_label("length", m.unit[1]).replace("precursor", "fitted"), result.fitted * m.unit[0]
     ax.axhspan(-1, 1, color=c.blue, alpha=0.12, lw=0, label="± σ")
     ax.axhline(0, color=c.grey, lw=0.8)
-    limit = np.array(m.kind) == "at_least"
+    limit, look = np.array(m.kind) == "at_least", _open_where_shared(result) if along_height and not further else {}
     for marker, color, _, rows in _series(result, ax):
         for own, sign, size in ((rows[~limit[rows]], marker, None), (rows[limit[rows]], *beyond)):
-            ax.plot(x[own], result.residuals[own], sign, ms=size, color=color)
+            ax.plot(x[own], result.residuals[own], sign, ms=size, color=color, **look)
         for one in further:
             own = np.isin(first, rows)
             ax.plot(x[first[own]], one.residuals[own], marker, color=color, mfc="none", label="of the first length")
-    per, between = "σ", "\n" if along_height else " "  # a panel of residuals is low
+    per = "σ"
     ax.set_xlabel(label)
     if not sigma.all():
-        per = rf"σ{between}(counts: $\lambda_c$)" if sigma.any() else r"$\lambda_c$"
-    ax.set_ylabel(f"misfit/{per}" if along_height else f"(fitted − measured)/{per}")
+        per = r"σ, counts: $\lambda_c$" if sigma.any() else r"$\lambda_c$"
+    ax.set_ylabel("residual" + ("\n" if along_height and "," in per else " ") + f"({per})")  # a panel below the lengths is low
     reach = max(3.0, 1.15 * float(np.abs(np.concatenate([result.residuals, *(one.residuals for one in further)])).max()))
     ax.set_ylim(-reach, reach)
     if not along_height or further:
-        ax.legend(handles=handles_of(ax, again=False), **ABOVE, ncols=2)
+        legend_above(ax, title=None if along_height else "residual: fitted − measured")
+    else:
+        ax.margins(x=0.12)
+        corner: dict[str, Any] = BESIDE | {"va": "bottom", "ha": "right", "xycoords": ax.get_yaxis_transform()}
+        ax.annotate("± σ", (1, 1), (-1, 1), **corner, color=c.ink)
     return ax
 
 
@@ -571,11 +650,10 @@ def profile(result: "FitResult", name: str, *, color: str | None = None, ax: "Ax
         height = result.rise(level)
         if result.calibrated:
             for piece in result.intervals[name].get(level, []):
-                ax.plot(piece[:2], [height, height], color=c.ink, lw=1.5, label="_interval")
+                ax.plot(piece[:2], [height, height], color=c.ink, lw=1.5, label="interval, simulated")
         else:
             ax.axhline(height, color=c.ink, lw=0.8, ls=":")
-        where: dict[str, Any] = {"xycoords": ax.get_yaxis_transform(), "textcoords": "offset points", "va": "center"}
-        ax.annotate(f"{level:.0%}", (1, height), (2, 0), **where, fontsize="small", color=c.ink)
+        ax.annotate(f"{level:.0%}", (1, height), (2, 0), **BESIDE, xycoords=ax.get_yaxis_transform(), color=c.ink)
     below = curve.node[rise < limit]
     if len(below) > 1:
         pad = 0.1 * (below[-1] - below[0])
@@ -627,12 +705,14 @@ def confidence_region(
         x, y = q.free[i].value(theta[:, i]), q.free[j].value(theta[:, j])
         ax.plot(x, y, ".", color=color, ms=1.5, alpha=0.4, label=as_written(name) or None)
     if len(drawn_from) > 1:
-        for handle in filter(None, ax.legend(fontsize="small", markerscale=6).legend_handles):
+        legend_above(ax, markerscale=6)
+        for handle in filter(None, cast("Legend", ax.get_legend()).legend_handles):
             handle.set_alpha(1)
     ax.plot(q.free[i].value(result.theta[i]), q.free[j].value(result.theta[j]), "+", color=c.vermilion, ms=8)
     _name(q.free[i], ax.xaxis)
     _name(q.free[j], ax.yaxis)
-    ax.set_title(f"68 % and 95 % regions, + {_best(result)}")
+    regions = "rises of 2.3 and 6.0" if result.rejected else "68% and 95% regions"
+    ax.set_title(f"{regions}, + {_best(result)}", pad=6 + (14 if ax.get_legend() else 0))
     return ax
 
 
@@ -640,7 +720,9 @@ def _window(result: "FitResult", k: int, nodes: int) -> np.ndarray:
     """Values of θ_k around its 95 % interval."""
     one = result.parameters.free[k]
     pieces = result.intervals[one.label][BAND_LEVEL]
-    low, high = (one.theta(pieces[0].low), one.theta(pieces[-1].high)) if pieces else (one.low, one.high)
+    curve = result.curves[one.label]
+    near = curve.node[curve.deviance - result.deviance < 2 * result.rise(BAND_LEVEL)]
+    low, high = (one.theta(pieces[0].low), one.theta(pieces[-1].high)) if pieces else (near.min(), near.max())
     pad = 0.35 * (high - low)
     return np.linspace(max(one.low, low - pad), min(one.high, high + pad), nodes)
 
@@ -669,7 +751,8 @@ def _curve_names(result: "FitResult", groups: list[tuple[str, np.ndarray]]) -> l
     alone = len(groups) > 1 and len(set(specimen)) > 1 and all(len(owner) == 1 for owner in owners)
     names = [f"{as_written(min(owner))}: {_best(result, min(owner))}" if alone else _best(result) for owner in owners]
     differ = _differing(one, [np.array(names) == name for name in set(names)])
-    return [", ".join([name, *(f"{sign} = {x[i]:.3g}" for sign, x in differ)]) for i, name in enumerate(names)]
+    labels = [", ".join([name, *(f"{sign} = {x[i]:.3g}" for sign, x in differ)]) for i, name in enumerate(names)]
+    return _told_apart(result, labels, [rows for _, rows in groups])
 
 
 def _differing(one: Inputs, alike: list[np.ndarray]) -> list[tuple[str, np.ndarray]]:
@@ -715,9 +798,9 @@ def gauge_readings(result: "FitResult", name: str, *, ax: "Axes | None" = None) 
         ax.errorbar(at, read, sigma, fmt="o", capsize=2, color=color)
     ax.set_xlim(left=0)
     ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
-    ax.set_xlabel("distance from the pushed edge, $x$ (mm)")
+    ax.set_xlabel(DISTANCE_MM)
     ax.set_ylabel(label)
-    ax.legend(**ABOVE, ncols=4, title="lines: fit; points: gauges ± σ", alignment="left")
+    legend_above(ax, most=4, title="lines: fit; points: gauges ± σ, after arrest")
     return ax
 
 

@@ -122,8 +122,9 @@ def _drawn_as(character: str) -> str:
     return character.encode("unicode_escape").decode()
 
 
-DISTANCE = axis_label("position", "λc")
-"""Label of every axis along the interface."""
+POSITION = NAMES["position"][0]
+DISTANCE, DISTANCE_MM = axis_label("position", "λc"), axis_label("position", "mm")
+"""Labels of every axis along the interface."""
 
 OVER_LOAD = "force over normal load, $F/F_N$"
 EXTENT = "extent over length, $x/L$"

@@ -20,10 +20,19 @@ if TYPE_CHECKING:
 UNIT_OF = {"height": "λc", "prestress": "σ_s", "threshold_slope": "σ_s per site", "repin_delay": "sites", "width": "σ_s"}
 """Units of the parameters of a sweep that are not dimensionless."""
 
-WIDEST = 44
-"""Most characters per line of the label of a colour bar."""
+OUTPUTS = {
+    "length": axis_label("length", "λc"),
+    "exact_length": axis_label("length", "λc"),
+    "block_precursor_length": axis_label("length", "λc"),
+    "nucleation_load": "load at nucleation, $U_0/u_s$",
+    "edge_stress": r"stress on contact 0, $t(0)/\sigma_s$",
+}
+"""Labels of outputs that other pictures draw too; others have their own long name."""
 
-NARROW = 16
+WIDEST = 34
+"""Most characters per line of a label as high as a figure."""
+
+BESIDE = 16
 """Most characters per line of a legend next to the lines."""
 
 
@@ -39,7 +48,7 @@ def sweep(found: "xr.Dataset | xr.DataArray", name: str | None = None, *, ax: "A
     found : xarray.Dataset or xarray.DataArray
         Result of `sweep` with one or two axes of more than one value; select from the others with ``.sel`` first.
     name : str, optional
-        Output to draw; the first by default.
+        Output to draw; by default the length if there is one, else the first.
     ax : matplotlib.axes.Axes, optional
 
     Raises
@@ -49,7 +58,8 @@ def sweep(found: "xr.Dataset | xr.DataArray", name: str | None = None, *, ax: "A
     """
     if not hasattr(found, "data_vars"):  # one output
         found = cast("xr.DataArray", found).to_dataset(name=str(name or found.name or "value"))
-    column = found[str(next(iter(found.data_vars))) if name is None else name].squeeze()
+    first = "length" if "length" in found else str(next(iter(found.data_vars)))  # a store opened by xarray sorts its names
+    column = found[first if name is None else name].squeeze()
     axes = sorted((str(dim) for dim in column.dims), key=lambda dim: column.sizes[dim])
     if "point" in axes:
         raise ValueError(not_drawn(axes, "leave out points=True"))
@@ -93,18 +103,16 @@ def _lines(ax: "Axes", column: "xr.DataArray", again: "xr.DataArray", along: str
         style.dashed_where(ax, x, y, again.isel(one).values, color=colour, label=label)
     _scale(ax.set_xscale, column[along].values)
     style.label_decades(ax.xaxis)
-    ax.set(xlabel=_axis(along), ylabel=_label(column))
+    ax.set(xlabel=_axis(along), ylabel=fill(_label(column), WIDEST))
     handles = style.handles_of(ax, again=bool(again.any()))
     if handles:
         if family is None:
             ax.legend(handles=handles, **style.ABOVE)
         else:  # lines leave no room inside
-            look = {"fontsize": "small", "title_fontsize": "small", "handlelength": 1.2, "alignment": "left"}
-            side = ax.legend(
-                handles=handles, title=fill(_axis(family), NARROW), bbox_to_anchor=(1, 1), loc="upper left", **look
-            )
+            title = fill(_axis(family), BESIDE)
+            side = ax.legend(handles=handles, title=title, bbox_to_anchor=(1, 1), loc="upper left", **style.FRAMELESS)
             for text in side.get_texts():
-                text.set_text(fill(text.get_text(), NARROW))
+                text.set_text(fill(text.get_text(), BESIDE))
 
 
 def _map(ax: "Axes", column: "xr.DataArray", again: "xr.DataArray", vertical: str, horizontal: str) -> None:
@@ -192,5 +200,7 @@ def _axis(name: str) -> str:
 
 
 def _label(column: "xr.DataArray") -> str:
+    if column.name in OUTPUTS:
+        return OUTPUTS[str(column.name)]
     words = as_written(str(column.attrs.get("long_name", column.name)), 2 * WIDEST)
     return in_unit(words, as_written(str(column.attrs.get("units", ""))))

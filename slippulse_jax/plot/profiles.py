@@ -6,7 +6,7 @@ import numpy as np
 
 from slippulse_jax.inference.search.intervals import LEVELS
 from slippulse_jax.plot.labels import DISTANCE, axis_label
-from slippulse_jax.plot.style import axes, colours, dashed_where, drawn, handles_of, legend_above
+from slippulse_jax.plot.style import axes, colours, dashed_where, drawn, legend_above
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,11 +27,10 @@ def recovered_profile(found: "RecoveredProfile", *, ax: "Axes | None" = None) ->
     x = found.position
     if found.kind == "threshold":
         prior = found.prior_stderr / found.profile
-        ax.fill_between(x, np.exp(-1.96 * prior), np.exp(1.96 * prior), color=c.grey, alpha=0.13, lw=0, label="prior, 95 %")
+        ax.fill_between(x, np.exp(-1.96 * prior), np.exp(1.96 * prior), color=c.grey, alpha=0.13, lw=0, label="prior, 95%")
     for level, alpha in zip(LEVELS[::-1], (0.2, 0.35), strict=True):
         ax.fill_between(x, *found.interval(level), color=c.blue, alpha=alpha, lw=0, label=f"{level:.0%} band")
     dashed_where(ax, x, found.profile, ~found.determined, color=c.blue, label="recovered")
-    ax.plot([], [], "--", color=c.blue, lw=0.8, label="not determined")
     if found.at_arrest is not None:
         along = {"fmt": "o", "ms": 3, "lw": 0.8, "color": c.vermilion, "label": "one length each"}
         ax.errorbar(found.arrest, found.at_arrest, found.at_arrest_stderr, found.measurements.length_sigma, **along)
@@ -40,10 +39,12 @@ def recovered_profile(found: "RecoveredProfile", *, ax: "Axes | None" = None) ->
         at_bottom = {"transform": ax.get_xaxis_transform(), "clip_on": False}
         ax.plot(found.measurements.length, 0 * found.fitted, "|", ms=8, color=c.vermilion, label="arrests", **at_bottom)
     shown = x <= 1.15 * found.measurements.length.max()
+    if not found.determined[shown].all():
+        ax.plot([], [], "--", color=c.blue, lw=0.8, label="not determined")
     low, high = (end[shown] for end in found.interval(LEVELS[-1]))
     room = 0.15 * (high.max() - low.min())
     ax.set(xlabel=DISTANCE, ylabel=LABEL[found.kind], xlim=(0, x[shown][-1]), ylim=(low.min() - room, high.max() + room))
-    legend_above(ax, handles_of(ax, again=False), most=3)  # the bands leave no corner free
+    legend_above(ax)  # the bands leave no corner free
     return ax
 
 

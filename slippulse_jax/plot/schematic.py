@@ -28,7 +28,7 @@ def schematic(body: Slider | Block, *, ax: "Axes | None" = None) -> "Axes":
         One of them, not a batch.
     ax : matplotlib.axes.Axes, optional
     """
-    ax = axes(ax)
+    ax = axes(ax, height=1.9)
     if np.shape(body.height):
         raise ValueError(f"schematic takes one body, not a batch of shape {np.shape(body.height)}")
     x = np.arange(CONTACTS) + 0.5
@@ -39,7 +39,7 @@ def schematic(body: Slider | Block, *, ax: "Axes | None" = None) -> "Axes":
     _contacts(ax, x)
     numbers = f"$H/\\lambda_c$ = {float(body.height):g}, $k/K$ = {float(body.stiffness):g}, ν = {float(body.poisson):g}"
     ax.set_title(("Block" if isinstance(body, Block) else "Slider") + f": {numbers}")
-    ax.set(xlim=(-1.9, CONTACTS + 0.5), ylim=(-1.5, 2.8), aspect="equal")
+    ax.set(xlim=(-1.9, CONTACTS + 0.5), ylim=(-1.6, 2.75), aspect="equal")
     ax.axis("off")
     return ax
 
@@ -80,11 +80,13 @@ def _block(ax: "Axes", body: Block) -> None:
     ax.text(-1.2, (low + high) / 2, "$F$" if force else "$U$", ha="right", va="center")
     marks = {"$H$": (0.0, height, 6.2)}
     if body.push.height is not None:
-        marks["$h$"] = (0.0, float(body.push.height) * height, 0.45)
+        marks["$h$"] = (0.0, float(body.push.height) * height, 0.9)
     if body.push.width is not None:
-        marks["$w$"] = (low, high, 1.1)
+        marks["$w$"] = (low, high, 0.2)
     for name, (start, end, at) in marks.items():
-        ax.annotate("", (at, end), (at, start), arrowprops={"arrowstyle": "<->", "color": c.ink, "lw": 0.7})
+        ends = "|-|,widthA=0.2,widthB=0.2" if name == "$w$" else "<->"
+        arrow = {"arrowstyle": ends, "color": c.ink, "lw": 0.7, "shrinkA": 0, "shrinkB": 0}
+        ax.annotate("", (at, end), (at, start), arrowprops=arrow)
         ax.text(at + 0.1, (start + end) / 2, name, va="center")
     ax.text(3.4, 1.5, r"$\nabla\cdot\sigma = 0$" + f", plane {body.plane}", ha="center")
     rests = "$u_y = 0$" if body.normal_stiffness is None else f"$k_n/k$ = {float(body.normal_stiffness):g}"

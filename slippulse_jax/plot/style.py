@@ -22,12 +22,27 @@ if TYPE_CHECKING:
 
 Draw = TypeVar("Draw", bound=Callable[..., Any])
 
-COLUMN, PAGE = 3.4, 7.0
-"""Widths of a journal's column and page (86, 178 mm), in inches."""
+MM = 1 / 25.4
+"""A millimetre in inches."""
 
-ABOVE: dict[str, Any] = {
-    "loc": "lower left", "bbox_to_anchor": (-0.02, 1), "borderpad": 0, "handlelength": 1.4, "columnspacing": 1.2
+COLUMN, PAGE = 84 * MM, 170 * MM
+"""Widths of a journal's column and page, in inches."""
+
+HEIGHT = 2.5
+"""Height of a figure of one panel, in inches."""
+
+NARROW = 125 * MM
+"""Width below which the panels of a figure stand one below the other."""
+
+SMALL = 6.7
+"""Size of the type of legends and remarks, in points."""
+
+FRAMELESS: dict[str, Any] = {
+    "frameon": False, "fontsize": SMALL, "title_fontsize": SMALL, "alignment": "left", "handlelength": 1.4, "columnspacing": 1.2
 }  # fmt: skip
+"""Options of every legend."""
+
+ABOVE: dict[str, Any] = FRAMELESS | {"loc": "lower left", "bbox_to_anchor": (-0.02, 1), "borderpad": 0}
 """Options of ``ax.legend`` above the Axes, where lines leave no room inside."""
 
 
@@ -84,9 +99,9 @@ def settings(*, dark: bool = False) -> dict[str, Any]:
         "axes.spines.top": False, "axes.spines.right": False, "axes.linewidth": 0.7,
         "xtick.major.width": 0.7, "ytick.major.width": 0.7, "lines.linewidth": 1.4, "lines.markersize": 3.5,
         "font.size": 8, "axes.labelsize": 8, "axes.titlesize": 8.5, "axes.titlelocation": "left",
-        "xtick.labelsize": 7.5, "ytick.labelsize": 7.5, "legend.fontsize": 7.5, "legend.frameon": False,
+        "xtick.labelsize": 7.5, "ytick.labelsize": 7.5, "legend.fontsize": SMALL, "legend.frameon": False,
         "mathtext.fontset": "dejavusans", "image.cmap": "cividis",
-        "figure.figsize": (COLUMN, 2.5), "figure.dpi": 120, "savefig.dpi": 300, "figure.constrained_layout.use": True,
+        "figure.figsize": (COLUMN, HEIGHT), "figure.dpi": 120, "savefig.dpi": 300, "figure.constrained_layout.use": True,
         "pdf.fonttype": 42, "svg.fonttype": "none", "animation.html": "jshtml",
     }  # fmt: skip
 
@@ -119,17 +134,18 @@ def _in_force() -> Any:
     return nullcontext() if tuple(data) in (LIGHT.data, DARK.data) else use(dark=_is_dark(mpl.rcParams["figure.facecolor"]))
 
 
-def axes(ax: "Axes | None" = None) -> "Axes":
+def axes(ax: "Axes | None" = None, *, height: float = HEIGHT) -> "Axes":
     """Return `ax`, or the Axes of a new pyplot figure.
 
-    The figure has the look, and column width by default.
+    The figure has the look, and by default the width of a column and this height in inches.
     """
     if ax is not None:
         return ax
     import matplotlib.pyplot as plt
 
     with _in_force():
-        return plt.subplots()[1]
+        chosen = tuple(plt.rcParams["figure.figsize"])
+        return plt.subplots(figsize=(COLUMN, height) if chosen == (COLUMN, HEIGHT) else chosen)[1]
 
 
 def letter_panels(*panels: "Axes") -> None:
@@ -138,6 +154,20 @@ def letter_panels(*panels: "Axes") -> None:
         where: dict[str, Any] = {"xycoords": "axes fraction", "textcoords": "offset points", "annotation_clip": False}
         letter = ax.annotate(f"({chr(ord('a') + number)})", (0, 1), (-14, 3), fontweight="bold", ha="right", **where)
         letter.set_in_layout(False)  # it stands where labels of the axis have left room
+
+
+def width_of(width: float | None, ax: "Axes | None", otherwise: float = PAGE) -> float:
+    """Width that the panels of a figure have, in inches.
+
+    That of `ax` if they take its place, else `width` in mm, else `otherwise`.
+    """
+    if ax is None:
+        return otherwise if width is None else width * MM
+    if width is not None:
+        raise ValueError("width is that of a figure of its own, and ax has one: give one of them")
+    place = ax.get_subplotspec()
+    share = 1.0 if place is None else len(place.colspan) / place.get_gridspec().ncols
+    return share * ax.figure.bbox.width / ax.figure.dpi
 
 
 @contextmanager
@@ -179,7 +209,7 @@ def dashed_where(ax: Any, x: np.ndarray, y: np.ndarray, again: np.ndarray, **opt
         ax.plot(x, np.where(near, y, np.nan), **options | {"linestyle": "--", "linewidth": 0.8, "label": None})
 
 
-def handles_of(ax: Any, *, again: bool) -> list[Any]:
+def handles_of(ax: Any, *, again: bool = False) -> list[Any]:
     """Handles for a legend: one per label, and dashes if `again`."""
     from matplotlib.lines import Line2D
 
@@ -188,11 +218,13 @@ def handles_of(ax: Any, *, again: bool) -> list[Any]:
     return [handle for i, handle in enumerate(handles) if labels[i] not in labels[:i]] + [key] * again
 
 
-def legend_above(ax: Any, handles: list[Any], *, most: int, **options: Any) -> None:
-    """Draw a small legend above the Axes, in at most `most` columns."""
-    look = ABOVE | {"handles": handles, "fontsize": "small", "alignment": "left"} | options
+def legend_above(ax: Any, handles: list[Any] | None = None, *, most: int = 3, **options: Any) -> None:
+    """Draw a legend above the Axes, in at most `most` columns."""
+    look = ABOVE | {"handles": handles_of(ax) if handles is None else handles} | options
+    frame = ax.get_window_extent()
+    room = min(1.2 * frame.width, 0.9 * (ax.figure.bbox.x1 - frame.x0))
     for columns in range(most, 0, -1):  # as many as do not press panels together
-        if ax.legend(**look, ncols=columns).get_window_extent().width < 1.2 * ax.get_window_extent().width:
+        if ax.legend(**look, ncols=columns).get_window_extent().width < room:
             return
 
 
@@ -204,7 +236,8 @@ def label_decades(axis: "Axis") -> None:
         return
     low, high = np.log10(axis.get_view_interval())
     few = np.floor(high + 1e-6) - np.ceil(low - 1e-6) < 1
-    axis.set_major_locator(LogLocator(subs=(1, 2, 5) if few else (1,), numticks=6))
+    shown = [sub for sub in (1, 2, 5) if np.floor(high - np.log10(sub)) >= np.ceil(low - np.log10(sub))]
+    axis.set_major_locator(LogLocator(subs=(1,) if not few else (1, 2, 5) if len(shown) > 1 else (1, 2, 3, 5, 7), numticks=6))
     if few:
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())

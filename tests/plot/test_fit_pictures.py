@@ -89,7 +89,7 @@ EACH = Parameter("stiffness", each="specimen")
 
 @pytest.mark.ci
 def test_curve_and_points_of_a_specimen_share_name_and_colour():
-    figure = plot.fit(fit(specimens(), [EACH]))
+    figure = plot.fit(fit(specimens(), [EACH]), caption=True)
     left = figure.axes[0]
     assert [name for name in texts(left) if name[0] in "XYZ"] == [
         *(f"{name}: best fit" for name in "ZYX"), *(f"{name} ± σ" for name in "ZYX")
@@ -149,7 +149,7 @@ def test_counts_are_bands_of_all_they_hold_and_limits_have_no_upper_end(worked):
     assert bands == {(round((m.length[i] - 1) / m.height[i], 9), round(m.length[i] / m.height[i], 9)) for i in shown}
     limits = [line.get_ydata()[0] for line in ax.lines if line.get_linestyle() == ":" and len({*line.get_ydata()}) == 1]
     np.testing.assert_allclose(limits, [30 / 44, 30 / 56])
-    assert ax.get_legend().get_title().get_text() == "Bands: counted contacts\nDotted: at least this long"
+    assert ax.get_legend().get_title().get_text() == "Bands: counted contacts\nDotted: at least this long\n6 of 8 conditions"
     marked = {
         line.get_marker(): len(line.get_xdata()) for line in plot.residuals(result).lines if len(line.get_xdata()) in (2, 6)
     }
@@ -177,9 +177,10 @@ def test_what_a_misfit_is_measured_in():
         kind=["whole", "whole", "length"],
     )
     known = Measurements(height=height, poisson=0.3, length=length, length_sigma=0.5)
-    labels = [plot.residuals(fit(m)).get_ylabel() for m in (exact, mixed, known)]
-    per = [label.replace("(fitted − measured)/", "") for label in labels]
-    assert per == [r"$\lambda_c$", r"σ (counts: $\lambda_c$)", "σ"]
+    every = [plot.residuals(fit(m)) for m in (exact, mixed, known)]
+    per = [ax.get_ylabel().replace("residual ", "") for ax in every]
+    assert per == [r"($\lambda_c$)", r"(σ, counts: $\lambda_c$)", "(σ)"]
+    assert {ax.get_legend().get_title().get_text() for ax in every} == {"residual: fitted − measured"}
 
 
 def test_counts_of_several_specimens_are_named():
@@ -242,28 +243,30 @@ def test_panels_are_lettered_down_the_left_first():
 
 
 @pytest.mark.ci
-def test_no_equation_of_the_title_is_broken(monkeypatch):
+def test_no_equation_of_the_caption_is_broken(monkeypatch):
     result = fit(table("mm"), "areal_stiffness")
     for width in range(100, 141, 4):
-        monkeypatch.setattr(plot.fits, "TITLE", width)
-        title = plot.fit(result).get_suptitle()
+        monkeypatch.setattr(plot.fits, "CAPTION", width)
+        title = plot.fit(result, caption=True).get_suptitle()
         assert all(equation in title for equation in ("E = 3 GPa", "ν = 0.3", "λc = 10 µm"))
 
 
 @pytest.mark.ci
-def test_the_title_says_what_was_fitted_beside():
-    exact, known = (plot.fit(fit(specimens(**one), [EACH])).get_suptitle() for one in ({}, {"poisson_sigma": 0.02}))
+def test_the_caption_says_what_was_fitted_beside():
+    exact, known = (
+        plot.fit(fit(specimens(**one), [EACH]), caption=True).get_suptitle() for one in ({}, {"poisson_sigma": 0.02})
+    )
     assert "E = 3 GPa, ν = 0.3, λc = 1000 µm" in exact
     assert "ν = 0.3 ± 0.019 (fitted)" in known  # one for each specimen
     with_prior = fit(specimens(), ["stiffness", Parameter("young", prior=(3e9, 2e8))])
     assert with_prior.identifiability is Identifiability.POOR_FIT
-    assert "E = 3.00 ± 0.20 GPa (stated), ν = 0.3" in plot.fit(with_prior).get_suptitle()
+    assert "E = 3.00 ± 0.20 GPa (stated), ν = 0.3" in plot.fit(with_prior, caption=True).get_suptitle()
 
 
 @pytest.mark.ci
 def test_an_input_with_a_prior_has_no_profile_beside_a_result():
     result = fit(specimens(), [EACH, Parameter("young", prior=(3e9, 2e8))])
-    figure = plot.fit(result)
+    figure = plot.fit(result, caption=True)
     assert [ax.get_xlabel()[-3:] for ax in figure.axes[1:-1]] == ["[Z]", "[Y]", "[X]"]
     said = figure.axes[1].get_legend().get_title().get_text().replace("\n", " ")
     assert said == "3 of 4 parameters; all by sp.plot.fit_profiles(result)"

@@ -5,6 +5,7 @@ import pytest
 import xarray as xr
 from matplotlib.colors import LogNorm
 
+import slippulse_jax as sp
 from slippulse_jax import plot
 from slippulse_jax.plot import style
 
@@ -97,3 +98,12 @@ def test_a_map_on_a_panel_of_a_larger_figure():
     panel = outer.subfigures(1, 2)[0].subplots()
     plot.sweep(swept(lambda height, stiffness: height * stiffness**0.2), ax=panel)
     assert panel.texts
+
+
+def test_a_store_opened_by_xarray_draws_the_length(tmp_path):
+    """Which sorts the names of its outputs."""
+    request = {"height": [10.0, 20.0, 30.0], "stiffness": [0.01], "poisson": 0.3, "outputs": ["b", "length"]}
+    found = sp.sweep(**request, store=tmp_path / "s")
+    opened = xr.open_zarr(tmp_path / "s")
+    assert next(iter(opened.data_vars)) == "b"
+    assert plot.sweep(opened).get_ylabel() == plot.sweep(found, "length").get_ylabel()

@@ -34,7 +34,7 @@ def test_gif_has_a_frame_for_every_break(front, tmp_path):
     above, below = movie._fig.axes
     stress = below.lines[2].get_ydata()
     np.testing.assert_allclose(stress, front.arrest.stress[: len(stress)], atol=1e-12)
-    assert f"{broken} contacts broken: it stops" in below.texts[0].get_text()
+    assert f"contacts broken: {broken}, it stops" in below.texts[0].get_text()
     assert "u_s" in above.get_ylabel()
 
 
