@@ -55,7 +55,9 @@ def gather(app: object) -> None:
         shutil.rmtree(HERE / folder, ignore_errors=True)
         (HERE / folder).mkdir()
     for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
-        shutil.copy(path, HERE / "notebooks" / path.name)
+        text = path.read_text(encoding="utf-8")
+        text = re.sub(r"`docs/([\w/]+)\.md`", r"[\1](../\1.md)", text)  # a page beside them here
+        (HERE / "notebooks" / path.name).write_text(text, encoding="utf-8")
     for path in sorted((ROOT / "fit_examples").glob("*/README.md")):
         name = path.parent.name
         text = path.read_text(encoding="utf-8").rstrip()
@@ -71,16 +73,23 @@ def command_line() -> str:
     """The help of every command, as a page."""
     from slippulse_jax.cli.main import slippulse
 
-    root = click.Context(slippulse, info_name="slippulse")
+    settings = {**slippulse.context_settings, "terminal_width": 84}  # of a block of code on a page
+    root = click.Context(slippulse, info_name="slippulse", **settings)
     parts = [
         "# The command line\n",
-        "Data go to stdout, progress and errors to stderr; every command takes `--json`. Exit status: 0 done, 1 failure, 2 bad",
-        "usage or input (one line that names file, line and column), 3 did not converge, 4 a sweep is incomplete, 130",
-        "interrupted.\n",
-        "Compiled programs are kept in the user's cache folder (`~/.cache/slippulse_jax` on Linux), so that the next call",
-        "starts at once; `slippulse --no-cache …` or `SLIPPULSE_CACHE=off` keep nothing. `JAX_COMPILATION_CACHE_DIR` names",
-        "another folder, for JAX's own cache alone. In a notebook or a job, `SLIPPULSE_PROGRAMS=FOLDER` keeps the larger",
-        "programs whole, so that the next process neither traces nor compiles them.\n",
+        "Results go to stdout, progress and errors to stderr. Every command takes `--json`.\n",
+        "| exit status | meaning |",
+        "|---|---|",
+        "| 0 | done |",
+        "| 1 | failure |",
+        "| 2 | wrong usage or input; one line names the file, line and column |",
+        "| 3 | did not converge |",
+        "| 4 | the sweep is incomplete |",
+        "| 130 | interrupted |\n",
+        "`slippulse` keeps compiled programs in the user's cache folder (`~/.cache/slippulse_jax` on Linux), so the next call",
+        "starts at once. `slippulse --no-cache …` or `SLIPPULSE_CACHE=off` keeps none. `JAX_COMPILATION_CACHE_DIR` names",
+        "another folder, for JAX's own cache only. In a notebook or a job, `SLIPPULSE_PROGRAMS=FOLDER` keeps the larger",
+        "programs whole: the next process neither traces nor compiles them.\n",
         f"```text\n{slippulse.get_help(root)}\n```\n",
     ]
     for name in slippulse.list_commands(root):

@@ -136,7 +136,7 @@ def precursor_length(
     Parameters
     ----------
     slider : Slider or Block
-        One slider or a batch; ℓ has its shape. Or one block, or a body of one's own (docs/howto/body.md), whose events are any
+        One slider or a batch; ℓ has its shape. Or one block, or a body of yours (docs/howto/extend.md), whose events are any
         contacts in any order, the most overloaded next, and end at the rightmost; `sites` is then the number of contacts
         resolved, at least those of a block with a `length`, which under ``jit`` and ``vmap`` must be given, and derivatives are
         those at a fixed order of breaks.

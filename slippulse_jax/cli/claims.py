@@ -12,7 +12,7 @@ from slippulse_jax.cli.shared import as_json, page_path, print_json, refuse
 @click.option("--write", callback=page_path, metavar="PAGE.md", help="Also write the documentation page.")
 @as_json
 def command(numbers: tuple[str, ...], write: Path | None, as_json: bool) -> None:
-    """Measure the paper's claims, and tell whether each holds."""
+    """Measure the paper's claims, and report whether each holds."""
     from slippulse_jax.files import write_atomically
     from slippulse_jax.paper.claims import examine, page
 

@@ -8,6 +8,7 @@ import click
 from slippulse_jax.choices import EventKind
 from slippulse_jax.cli.shared import (
     VALUES,
+    Grouped,
     as_json,
     choice,
     contacts_of_block,
@@ -24,38 +25,43 @@ if TYPE_CHECKING:
     import numpy as np
 
 
-@click.command()
-@click.option("--height", type=VALUES, metavar="H/λc,…", help="Heights of the available blocks, over λc.")
-@click.option("--sigma", type=VALUES, metavar="σ/λc,…", help="Standard error of a length, in λc: one, or one per candidate.")
-@click.option("--height-mm", type=VALUES, metavar="MM,…", help="Heights, in SI form.")
-@click.option("--sigma-mm", type=VALUES, metavar="MM,…", help="Standard error of a length, in SI form.")
-@click.option("--correlation-length-um", type=VALUES, metavar="UM,…", help="Correlation length λc, in SI form.")
-@click.option("--young-gpa", type=VALUES, metavar="GPA,…", help="Young's modulus, in SI form.")
-@click.option("--push-height", type=VALUES, metavar="h/H,…", help="Heights of the push: the candidates are blocks.")
-@click.option("--push-width", type=VALUES, metavar="w/H,…", help="Heights of the pusher; all above --push-height by default.")
-@click.option("--push-height-mm", type=VALUES, metavar="MM,…", help="Heights of the push, in SI form.")
-@click.option("--push-width-mm", type=VALUES, metavar="MM,…", help="Heights of the pusher, in SI form.")
+@click.command(
+    cls=Grouped,
+    groups={
+        "Candidates, over λc": "height sigma push-height push-width",
+        "Candidates, in SI": "height-mm sigma-mm correlation-length-um young-gpa push-height-mm push-width-mm",
+        "Candidates in both": "poisson prestress push-control friction normal-stiffness contact-law top event whole",
+        "Prior knowledge": "stiffness log-sd measured bounds",
+        "Plan and output": "next seed figure json help",
+    },
+)
+@click.option("--height", type=VALUES, metavar="H/λc,…", help="Heights of the available blocks.")
+@click.option("--sigma", type=VALUES, metavar="σ/λc,…", help="Standard errors of the lengths.")
+@click.option("--height-mm", type=VALUES, metavar="MM,…", help="Heights of the available blocks.")
+@click.option("--sigma-mm", type=VALUES, metavar="MM,…", help="Standard errors of the lengths.")
+@click.option("--correlation-length-um", type=VALUES, metavar="UM,…", help="Correlation length λc.")
+@click.option("--young-gpa", type=VALUES, metavar="GPA,…", help="Young's modulus.")
+@click.option("--push-height", type=VALUES, metavar="h/H,…", help="Height of the push: the candidates are blocks.")
+@click.option("--push-width", type=VALUES, metavar="w/H,…", help="Height of the pusher; everything above the push by default.")
+@click.option("--push-height-mm", type=VALUES, metavar="MM,…", help="Height of the push: the candidates are blocks.")
+@click.option(
+    "--push-width-mm", type=VALUES, metavar="MM,…", help="Height of the pusher; everything above the push by default."
+)
 @push_control
 @contacts_of_block(VALUES)
 @click.option("--poisson", type=VALUES, required=True, metavar="ν,…", help="Poisson's ratio.")
-@click.option("--prestress", type=VALUES, default="0", show_default=True, metavar="φ,…", help="Prestress in σ_s.")
+@click.option("--prestress", type=VALUES, default="0", show_default=True, metavar="φ,…", help="Prestress, in σ_s.")
+@click.option("--stiffness", type=VALUES, metavar="K,…", help="Stiffness, or its several roots: k/K, or k/λc² in Pa/m.")
+@click.option("--log-sd", type=VALUES, metavar="SD,…", help="Standard deviation of ln(stiffness) about each root.")
+@click.option("--measured", metavar="LENGTHS.CSV", help="Table of earlier measurements, as for slippulse fit.")
+@click.option("--bounds", type=float, nargs=2, metavar="LOW HIGH", help="Range of stiffness to search with --measured.")
+@choice("--event", EventKind, "What lengths are: domino = first front (default), full = whole event.")
+@click.option("--whole", is_flag=True, help="Count whole contacts, to within σ, which may be 0.")
 @click.option(
-    "--stiffness", type=VALUES, metavar="K,…", help="Prior stiffness, or its several roots: k/K, or in SI k/λc² in Pa/m."
-)
-@click.option("--log-sd", type=VALUES, metavar="SD,…", help="Standard deviation of ln(stiffness), about each root.")
-@click.option("--measured", metavar="LENGTHS.CSV", help="Earlier measurements, as for slippulse fit; they add to the prior.")
-@click.option(
-    "--bounds", type=float, nargs=2, metavar="LOW HIGH", help="Range of stiffness with --measured, as for slippulse fit."
-)
-@choice(
-    "--event", EventKind, "Whether lengths, measured and planned, are of first fronts (domino, the default) or of whole events."
-)
-@click.option("--whole", is_flag=True, help="Whole contacts will be counted, to σ (0 allowed).")
-@click.option(
-    "--next", "experiments", type=click.IntRange(1, 12), default=1, show_default=True, help="Number of experiments to plan."
+    "--next", "experiments", type=click.IntRange(1, 12), default=1, metavar="N", show_default=True, help="Experiments to plan."
 )
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random shifts, for two and more.")
-@click.option("--figure", callback=figure_path, metavar="FILE", help="Draw gains and lengths; .png, .pdf or .svg.")
+@click.option("--figure", callback=figure_path, metavar="FILE", help="Draw gains and lengths: .png, .pdf or .svg.")
 @as_json
 def command(
     stiffness: "np.ndarray | None",
@@ -72,8 +78,7 @@ def command(
 ) -> None:
     """Rank candidate experiments by expected information about the interface stiffness.
 
-    Give --height and --sigma, or all of --height-mm, --sigma-mm, --correlation-length-um and --young-gpa: each a number, a
-    list a,b,c or a range first:last:count[:log], of equal lengths or single values, one entry per candidate. Prior knowledge
+    Give one entry per candidate, or one for all: a number, a list a,b,c or a range first:last:count[:log]. Prior knowledge
     comes from --stiffness with --log-sd, from --measured, or from both.
     """
     from slippulse_jax.inference.design import design

@@ -11,9 +11,16 @@ FIGURES = ("fig2", "fig3")
 @click.command()
 @click.argument("directory", type=click.Path(file_okay=False), default="figures")
 @click.option(
-    "--format", "formats", multiple=True, type=click.Choice(FIGURE_FORMATS), default=FIGURE_FORMATS, help="Default: all three."
+    "--format",
+    "formats",
+    multiple=True,
+    type=click.Choice(FIGURE_FORMATS),
+    default=FIGURE_FORMATS,
+    help="Write this format; all three by default.",
 )
-@click.option("--figure", "names", multiple=True, type=click.Choice(FIGURES), default=FIGURES, help="Default: both.")
+@click.option(
+    "--figure", "names", multiple=True, type=click.Choice(FIGURES), default=FIGURES, help="Draw this figure; both by default."
+)
 @as_json
 def command(directory: str, formats: tuple[str, ...], names: tuple[str, ...], as_json: bool) -> None:
     """Draw the paper's Figures 2 and 3 into DIRECTORY, with CSV."""

@@ -1,12 +1,15 @@
 """``slippulse fit``."""
 
 import warnings
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from slippulse_jax.cli.shared import NOT_CONVERGED, as_json, choice, figure_path, print_json, refuse, save_figure
+import slippulse_jax
+from slippulse_jax.cli.shared import NOT_CONVERGED, Grouped, as_json, choice, figure_path, print_json, refuse, save_figure
 from slippulse_jax.inference.choices import Body, IntervalsBy, Loss, MeasuredEvent, Method, Sigma, Template
+from slippulse_jax.keywords import did_you_mean
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.fit import FitResult
@@ -41,103 +44,133 @@ def _print_template(ctx: click.Context, parameter: click.Parameter, kind: Templa
         ctx.exit()
 
 
-class WithColumns(click.Command):
-    """A command whose help lists the columns of its tables."""
-
-    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """List them, with their usual units."""
+def _print_columns(ctx: click.Context, parameter: click.Parameter, wanted: bool) -> None:
+    """Print the columns of both tables, and no more."""
+    if wanted:
         from slippulse_jax.inference.table.columns import COLUMNS, OF_GAUGES
 
+        formatter = ctx.make_formatter()
         for name, columns in (("LENGTHS.CSV", COLUMNS), ("GAUGES.CSV", OF_GAUGES)):
             with formatter.section(f"Columns of {name}"):
                 formatter.write_dl([(one.name(in_si=True), one.sentence.replace("`", "")) for one in columns.values()])
+        click.echo(formatter.getvalue(), nl=False)
+        ctx.exit()
 
 
-@click.command(cls=WithColumns)
-@click.argument("csv", metavar="LENGTHS.CSV")
+def _example(ctx: click.Context, parameter: click.Parameter, name: str | None) -> Path | None:
+    """Find the table of a worked fit in wheel or source."""
+    if name is None:
+        return None
+    package = Path(slippulse_jax.__file__).parent
+    tables = {one.parent.name: one for home in (package.parent, package) for one in home.glob("fit_examples/*/lengths.csv")}
+    if name not in tables:
+        known = ", ".join(sorted(tables)) or "none is installed"
+        raise click.BadParameter(f"{name!r}: one of {known}{did_you_mean(name, tables)}", ctx, parameter)
+    return tables[name]
+
+
+@click.command(
+    cls=Grouped,
+    groups={
+        "Input": "template columns example gauges request",
+        "What is fitted": "free bounds range prior fix each-specimen",
+        "Body and lengths": "body event model-error",
+        "Errors and intervals": "loss sigma intervals bootstrap case posterior",
+        "Output": "verbose methods json figure profiles corner gauge-figure",
+        "Running": "method seed help",
+    },
+)
+@click.argument("csv", metavar="[LENGTHS.CSV]", required=False)
 @choice(
     "--template",
     Template,
-    "Print a table to fill in instead: lengths on sliders or on blocks, or the events of a block up to sliding.",
+    "Print a table to fill in, for a slider, block or sequence.",
     callback=_print_template,
     is_eager=True,
     expose_value=False,
-)
-@click.option("--gauges", metavar="GAUGES.CSV", help="Slip and stress along the interface after arrest, fitted too.")
-@click.option("--free", multiple=True, metavar="NAME", help="Parameter to fit; repeat for several. Default: stiffness.")
-@click.option(
-    "--bounds",
-    type=float,
-    nargs=2,
-    metavar="LOW HIGH",
-    help="Range of stiffness to search, in the unit of the result: Pa/m for data in SI with young_GPa, 1/m without, else k/K.",
+    metavar="KIND",
 )
 @click.option(
-    "--prior", multiple=True, callback=_pairs, metavar="NAME=MEAN,DEVIATION", help="Gaussian prior of a parameter, in SI."
+    "--columns",
+    is_flag=True,
+    callback=_print_columns,
+    is_eager=True,
+    expose_value=False,
+    help="List the columns of LENGTHS.CSV and GAUGES.CSV.",
 )
-@click.option("--range", "ranges", multiple=True, callback=_pairs, metavar="NAME=LOW,HIGH", help="Range to search, in SI.")
+@click.option("--example", callback=_example, metavar="NAME", help="Fit the table of a worked fit, such as pmma_block.")
+@click.option("--gauges", metavar="GAUGES.CSV", help="Fit slip and stress along the interface after arrest too.")
+@click.option("--request", metavar="FILE", help="Read parameters and settings from TOML, or from a fit's JSON.")
+@click.option("--free", multiple=True, metavar="NAME", help="Fit this parameter; repeat for several. Stiffness by default.")
+@click.option(
+    "--bounds", type=float, nargs=2, metavar="LOW HIGH", help="Stiffness range: Pa/m in SI, 1/m without young_GPa, else k/K."
+)
+@click.option(
+    "--range",
+    "ranges",
+    multiple=True,
+    callback=_pairs,
+    metavar="NAME=LOW,HIGH",
+    help="Search this range of a parameter, in SI.",
+)
+@click.option(
+    "--prior", multiple=True, callback=_pairs, metavar="NAME=MEAN,DEVIATION", help="Give a parameter a Gaussian prior, in SI."
+)
 @click.option("--fix", multiple=True, callback=_pairs, metavar="NAME=VALUE", help="Hold a parameter at a value, in SI.")
-@click.option("--each-specimen", multiple=True, metavar="NAME", help="Fit one value per specimen.")
-@choice("--loss", Loss, "Loss function.")
-@choice("--sigma", Sigma, "Take σ as given, or only the ratios of σ.")
-@choice("--method", Method, "Levenberg-Marquardt, or optax's L-BFGS or Adam.")
-@choice("--intervals", IntervalsBy, "Profile (chi-squared) or simulated intervals; auto simulates where chi-squared misleads.")
+@click.option("--each-specimen", multiple=True, metavar="NAME", help="Fit one value of a parameter per specimen.")
+@choice("--body", Body, "Body; by default a block where the table has push_height.")
 @choice(
     "--event",
     MeasuredEvent,
-    "What was measured: domino = length of the first front, full = of the whole event, crack = of a crack-like front, "
-    "sequence = forces up to sliding.",
-)
-@choice(
-    "--body",
-    Body,
-    "The paper's slider; or a block under two-dimensional elasticity, the default where the table says where it is pushed.",
+    "What the lengths are: domino = first front, full = whole event, crack = crack-like front; sequence = events up to "
+    "sliding.",
+    metavar="KIND",
 )
 @click.option(
     "--model-error",
     callback=_error,
     metavar="VALUE|fitted",
-    help="Of a sequence: what the model leaves out, in μF_N; or fitted, from how far the forces lie from the fit.",
+    help="Error of the model of a sequence, in μF_N; or fit it to the scatter of the forces.",
 )
-@click.option("--seed", type=int, help="Seed of starts, bootstrap and sampling.")
-@click.option("--request", metavar="FILE", help="TOML file of parameters and settings, or JSON of a fit to repeat.")
+@choice("--loss", Loss, "Loss function; student is robust to outliers.")
+@choice("--sigma", Sigma, "Take σ as given, or only the ratios of σ.")
+@choice(
+    "--intervals",
+    IntervalsBy,
+    "profile (chi-squared), calibrated (simulated), or auto: simulated where chi-squared misleads.",
+    metavar="KIND",
+)
 @click.option("--bootstrap", type=click.IntRange(min=2), metavar="COUNT", help="Refit this many simulated data sets.")
-@click.option("--case", is_flag=True, help="Bootstrap by resampling the measurements.")
-@click.option(
-    "--posterior",
-    type=click.IntRange(min=2),
-    metavar="COUNT",
-    help="Sample the posterior by NUTS, this many in each of 4 chains.",
-)
-@click.option("--figure", callback=figure_path, metavar="FILE", help="Draw data and fit; .png, .pdf or .svg.")
-@click.option("--profiles", callback=figure_path, metavar="FILE", help="Draw a profile for each parameter, and residuals.")
+@click.option("--case", is_flag=True, help="Resample the measurements in --bootstrap instead of simulating.")
+@click.option("--posterior", type=click.IntRange(min=2), metavar="COUNT", help="Sample the posterior by NUTS, in 4 chains.")
+@click.option("--verbose", is_flag=True, help="Add the model, ranges, all intervals, inputs and correlations.")
+@click.option("--methods", is_flag=True, help="Add a sentence for a paper.")
+@click.option("--figure", callback=figure_path, metavar="FILE", help="Draw data and fit: .png, .pdf or .svg.")
+@click.option("--profiles", callback=figure_path, metavar="FILE", help="Draw the profile of each parameter, and residuals.")
 @click.option("--corner", callback=figure_path, metavar="FILE", help="Draw the allowed region of each pair of parameters.")
-@click.option("--gauge-figure", callback=figure_path, metavar="FILE", help="Draw slip and stress along the interface and fit.")
-@click.option("--verbose", is_flag=True, help="Add the model, the ranges searched, all intervals, fitted inputs, correlations.")
-@click.option("--methods", is_flag=True, help="Add a sentence for a paper, with these numbers.")
+@click.option("--gauge-figure", callback=figure_path, metavar="FILE", help="Draw slip and stress along the interface.")
+@choice("--method", Method, "Search by Levenberg-Marquardt, or by optax's L-BFGS or Adam.")
+@click.option("--seed", type=int, help="Seed of starts, bootstrap and sampling.")
 @as_json
 @click.pass_context
-def command(ctx: click.Context, csv: str, **options: Any) -> None:
-    """Fit the interface to measured first precursors.
+def command(ctx: click.Context, csv: str | None, example: Path | None, **options: Any) -> None:
+    """Fit the interface stiffness to measured precursor lengths.
 
-    LENGTHS.CSV has one precursor per line, or one event of a sequence, and units in its column names, listed below; without
-    them lengths are in λc.
+    LENGTHS.CSV has one precursor per line, or one event of a sequence, and units in its column names. Readings of gauges need
+    --free stiffness --free strength. A request has [parameters.poisson] prior = [0.3, 0.02], and loss, sigma, method, seed,
+    max_steps; options are added to it.
 
-    GAUGES.CSV has one reading per line, by the label of the precursor. Then fit strength too: --free stiffness --free strength.
-
-    A request file holds what the options say, as [parameters.poisson] prior = [0.3, 0.02], and loss, sigma, method, seed,
-    max_steps. Options are added to it.
-
-    Exit status: 0 also where the data do not determine a parameter, which the report says; 3 if the search did not converge.
+    Exit status: 0 also where the data do not determine a parameter; 3 if the search did not converge.
     """
     from slippulse_jax.inference.fit import fit
     from slippulse_jax.inference.result.record import from_request, read_request
     from slippulse_jax.inference.table.measurements import MeasurementWarning, read_measurements
 
     _check(options)
+    table = _table(ctx, csv, example)
     try:
         request = read_request(options["request"]) if options["request"] else {}
-        measurements = read_measurements(csv, gauges=options["gauges"])
+        measurements = read_measurements(table, gauges=options["gauges"])
         settings = from_request(_with_options(request, options))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", MeasurementWarning)
@@ -181,6 +214,15 @@ def _draw(result: "FitResult", samples: dict[str, Any], options: dict[str, Any])
     for name, draw in pictures.items():
         if options[name] is not None:
             save_figure(draw(result), options[name])
+
+
+def _table(ctx: click.Context, csv: str | None, example: Path | None) -> str | Path:
+    """The table to fit, of the user or of an example."""
+    if csv is not None and example is not None:
+        raise click.UsageError(f"--example {example.parent.name} and {csv} are two tables to fit: give one", ctx)
+    if csv is None and example is None:
+        raise click.UsageError("Missing argument 'LENGTHS.CSV': give a table, or --example pmma_block", ctx)
+    return csv or example  # pyright: ignore[reportReturnType]
 
 
 def _check(options: dict[str, Any]) -> None:

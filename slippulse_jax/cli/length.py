@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slippulse_jax.cli.shared import (
+    Grouped,
     as_json,
     contacts_of_block,
     one_form,
@@ -32,26 +33,28 @@ OF_EXPERIMENT = {
 """Option for each number of an experiment, and its unit in SI; None where it is over others."""
 
 
-@click.command()
-@click.option("--experiment", type=click.Choice(list(ALL)), help="Published set-up; other options replace or add numbers.")
+@click.command(
+    cls=Grouped,
+    groups={
+        "Slider, over λc": "height stiffness poisson",
+        "Slider, in SI": "height-mm correlation-length-um areal-stiffness young-gpa experiment",
+        "Ends": "right sites block-length-mm machine",
+        "Pushed block": "push-height push-width push-control friction normal-stiffness contact-law top",
+        "Output": "json help",
+    },
+)
+@click.option("--experiment", type=click.Choice(list(ALL)), metavar="NAME", help=f"Take a published set-up: {', '.join(ALL)}.")
 @slider_options(required=False)
-@click.option("--height-mm", type=float, metavar="MM", help="Height of the slider, in SI form.")
+@click.option("--height-mm", type=float, metavar="MM", help="Height of the slider.")
 @click.option("--correlation-length-um", type=float, metavar="UM", help="Correlation length λc.")
 @click.option("--areal-stiffness", type=float, metavar="PA/M", help="Interfacial shear stiffness per area, k/λc².")
 @click.option("--young-gpa", type=float, metavar="GPA", help="Young's modulus.")
 @right_end
 @click.option("--sites", type=click.IntRange(min=2), metavar="N", help="Number of contacts of a chain with a right end.")
-@click.option("--block-length-mm", type=float, metavar="MM", help="Length of the block; its end is free by default.")
-@click.option(
-    "--machine", type=float, metavar="M/K", help="Stiffness of the machine per width of the block, over E. Infinite by default."
-)
-@click.option(
-    "--push-height",
-    type=float,
-    metavar="h/H",
-    help="Take a block under two-dimensional elasticity, pushed above this height, or about it with --push-width.",
-)
-@click.option("--push-width", type=float, metavar="w/H", help="Height of the pusher itself.")
+@click.option("--block-length-mm", type=float, metavar="MM", help="Length of the body; its end is free by default.")
+@click.option("--machine", type=float, metavar="M/K", help="Stiffness of the machine per width, over E; infinite by default.")
+@click.option("--push-height", type=float, metavar="h/H", help="Push a two-dimensional elastic block above this height.")
+@click.option("--push-width", type=float, metavar="w/H", help="Height of the pusher, whose middle is then at --push-height.")
 @push_control
 @contacts_of_block(float)
 @as_json
@@ -65,8 +68,8 @@ def command(
 ) -> None:
     """Compute the first precursor of one slider or pushed block.
 
-    Give either --height and --stiffness, or all of --height-mm, --correlation-length-um, --areal-stiffness and --young-gpa,
-    or --experiment and what its source does not give.
+    Give Poisson's ratio and either --height and --stiffness or the four SI values. With --experiment give only the values that
+    its source lacks; other values replace those of the source.
     """
     import jax
 

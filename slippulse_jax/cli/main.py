@@ -22,7 +22,7 @@ COMMANDS = {
     "design": "Choose the next experiment to determine the interface stiffness.",
     "figures": "Draw the paper's Figures 2 and 3, with their numbers as CSV.",
     "fit": "Fit the interface stiffness to measured precursor lengths.",
-    "length": "Compute the first precursor of one slider.",
+    "length": "Compute the first precursor of one slider or block.",
     "series": "Compute a series of precursors as a catalogue of events.",
     "sweep": "Compute first precursors over ranges of parameters.",
 }
@@ -47,13 +47,13 @@ class LazyGroup(click.Group):
             formatter.write_dl(sorted(COMMANDS.items()))
 
 
-@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(package_name="slippulse_jax", message="slippulse %(version)s")
 @click.option(
     "--cache/--no-cache",
     default=True,
     envvar="SLIPPULSE_CACHE",
-    help="Keep compiled programs for the next call (default), or not; SLIPPULSE_CACHE=off does the same.",
+    help="Keep compiled programs for the next call, the default; SLIPPULSE_CACHE=off keeps none.",
 )
 def slippulse(cache: bool) -> None:
     """Self-healing slip pulses at the onset of frictional sliding."""

@@ -8,6 +8,7 @@ import click
 
 from slippulse_jax.cli.shared import (
     NOT_CONVERGED,
+    Grouped,
     as_json,
     figure_path,
     print_json,
@@ -25,19 +26,27 @@ BREAKS_AN_EVENT = 50
 """Breaks recorded at first per event, where they are drawn."""
 
 
-@click.command()
-@slider_options(required=True)
-@click.option("--sites", type=click.IntRange(min=2), default=150, show_default=True, help="Contacts of the chain.")
-@click.option("--events", type=click.IntRange(min=1), default=100, show_default=True, help="Number of events.")
-@right_end
-@click.option("--step", type=float, metavar="U_S", help="Load in steps of this size; by default adiabatically.")
-@click.option("--spring", type=float, metavar="K", help="Drive through a spring of this stiffness.")
-@click.option("--newborn", type=float, metavar="ν", help="Ageing: threshold of a newborn contact over an old one's.")
-@click.option("--recovery", type=float, metavar="U_S", help="Ageing: load over which thresholds recover.")
-@click.option(
-    "--repin-delay", type=click.IntRange(min=0), default=0, metavar="N", help="Breaks while a contact stays detached."
+@click.command(
+    cls=Grouped,
+    groups={
+        "Chain": "height stiffness poisson sites right",
+        "Loading": "events step spring",
+        "Contacts after a break": "repin-delay newborn recovery",
+        "Output": "out figure json help",
+    },
 )
-@click.option("--out", callback=table_path, metavar="FILE", help="Write the catalogue to .csv or .nc instead.")
+@slider_options(required=True)
+@click.option("--sites", type=click.IntRange(min=2), default=150, metavar="N", show_default=True, help="Number of contacts.")
+@click.option("--events", type=click.IntRange(min=1), default=100, metavar="N", show_default=True, help="Number of events.")
+@right_end
+@click.option("--step", type=float, metavar="U_S", help="Load in steps of this size; adiabatically by default.")
+@click.option("--spring", type=float, metavar="K", help="Drive the edge through a spring of this stiffness.")
+@click.option("--newborn", type=float, metavar="RATIO", help="Ageing: threshold of a new contact, over that of an old one.")
+@click.option("--recovery", type=float, metavar="U_S", help="Ageing: displacement over which thresholds recover.")
+@click.option(
+    "--repin-delay", type=click.IntRange(min=0), default=0, metavar="N", help="Breaks during which a contact stays detached."
+)
+@click.option("--out", callback=table_path, metavar="FILE", help="Write the catalogue to .csv or .nc instead of stdout.")
 @click.option("--figure", callback=figure_path, metavar="FILE", help="Draw the friction curve and the space–time map.")
 @as_json
 def command(
@@ -45,7 +54,15 @@ def command(
     spring: float | None, newborn: float | None, recovery: float | None, repin_delay: int,
     out: Path | None, figure: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
-    """Compute a series of precursors as a catalogue of events, in CSV."""
+    """Compute a series of precursors of a slider, as CSV.
+
+    Columns: load and force_before as an event begins; site, the contact that broke first; leftmost and extent, between
+    which contacts broke, counted from the edge; length, where the front stopped, also from the edge; breaks; slip and
+    stress_drop, sums over contacts; the energies work, stored, broken and relaxed; kind: edge, interior, renucleated
+    (began where an earlier event was arrested) or spanning.
+
+    For a series of a block use sp.series in Python.
+    """
     _check(step, spring, newborn, recovery)
     if click.get_current_context().parent is not None:  # only in a process of slippulse itself
         from slippulse_jax.bulk.compiler import compile_loops_whole
@@ -98,10 +115,11 @@ def _check(step: float | None, spring: float | None, newborn: float | None, reco
 def _draw(found: "Catalogue", path: Path) -> None:
     from matplotlib.figure import Figure
 
-    from slippulse_jax.plot import friction_curve, space_time
+    from slippulse_jax.plot import friction_curve, space_time, style
 
-    picture = Figure(figsize=(10, 4.2), layout="constrained")
-    left, right_axes = picture.subplots(1, 2)
-    friction_curve(found, ax=left)
-    space_time(found, ax=right_axes)
-    save_figure(picture, path)
+    with style.use():
+        picture = Figure(figsize=(style.PAGE, 2.8))
+        left, right = picture.subplots(1, 2)
+        friction_curve(found, ax=left)
+        space_time(found, ax=right)
+        save_figure(picture, path)

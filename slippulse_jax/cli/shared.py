@@ -35,7 +35,37 @@ def choice(name: str, of: Any, text: str, **options: Any) -> Option:
 
 
 right_end = choice("--right", RightEnd, "Right end of the chain.", default="semi-infinite", show_default=True)
-push_control = choice("--push-control", Control, "What is held while an event runs; the displacement by default.")
+push_control = choice("--push-control", Control, "Hold the displacement (default) or the force during an event.")
+
+
+class Grouped(click.Command):
+    """A command whose help lists its options in titled groups.
+
+    Parameters
+    ----------
+    groups
+        Names of options, without dashes, by title.
+    """
+
+    def __init__(self, *args: Any, groups: dict[str, str], **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.groups = groups
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the options, their texts below each other in all groups."""
+        records = {
+            max(one.opts, key=len)[2:]: one.get_help_record(ctx) for one in self.get_params(ctx) if one.opts[0][0] == "-"
+        }
+        for title, names in self.groups.items():
+            with formatter.section(title):
+                formatter.write_dl(
+                    [(f"{one[0]:<{WIDTH_OF_NAMES}}", one[1]) for name in names.split() if (one := records[name])],
+                    col_max=WIDTH_OF_NAMES,
+                )
+
+
+WIDTH_OF_NAMES = 28
+"""Characters of an option's name and value in a list of groups."""
 
 
 class Values(click.ParamType):
@@ -82,20 +112,23 @@ def together(*options: Option) -> Option:
 
 def contacts_of_block(kind: Any) -> Option:
     """Options of a block and its contacts; numbers of a `kind`."""
-    law = "What follows the pressure with --friction: thresholds, or thresholds and stiffnesses."
+    law = "What follows the pressure: thresholds (amontons), or stiffnesses too (multicontact)."
     several = "" if kind is float else ",…"
     return together(
         click.option(
             "--friction",
             type=kind,
             metavar=f"μ{several}",
-            help="Friction coefficient of a block, whose thresholds follow the pressure.",
+            help="Friction coefficient: thresholds follow the pressure.",
         ),
         click.option(
-            "--normal-stiffness", type=kind, metavar=f"k_n/k{several}", help="Of a block; 1.2 by default with --friction."
+            "--normal-stiffness",
+            type=kind,
+            metavar=f"k_n/k{several}",
+            help="Normal over shear stiffness of the contacts; 1.2 by default with --friction.",
         ),
-        choice("--contact-law", ContactLaw, law, default="amontons"),
-        choice("--top", Top, "Whether the top of a block may tilt.", default="free"),
+        choice("--contact-law", ContactLaw, law, default="amontons", metavar="LAW"),
+        choice("--top", Top, "Let the top of the block tilt (free), or keep it level (held).", default="free"),
     )
 
 
@@ -103,10 +136,14 @@ def slider_options(*, required: bool) -> Option:
     """Options of one slider in λc, `required` or not."""
     return together(
         click.option(
-            "--height", type=float, required=required, metavar="H/λc", help="Height of the slider over the correlation length."
+            "--height", type=float, required=required, metavar="H/λc", help="Height of the slider, over the correlation length."
         ),
         click.option(
-            "--stiffness", type=float, required=required, metavar="k/K", help="Contact stiffness over bond stiffness K = Eλc."
+            "--stiffness",
+            type=float,
+            required=required,
+            metavar="k/K",
+            help="Contact stiffness, over the bond stiffness K = Eλc.",
         ),
         click.option("--poisson", type=float, required=required, metavar="ν", help="Poisson's ratio."),
     )

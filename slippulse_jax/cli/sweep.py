@@ -10,6 +10,7 @@ from slippulse_jax.choices import Control
 from slippulse_jax.cli.shared import (
     INCOMPLETE,
     VALUES,
+    Grouped,
     as_json,
     choice,
     contacts_of_block,
@@ -37,40 +38,62 @@ def _pair(ctx: click.Context, parameter: click.Parameter, value: str | None) -> 
     return index, count
 
 
-@click.command()
-@click.option("--height", type=VALUES, required=True, metavar="H/λc", help="Height of the slider: 25, 10,25,50 or 10:50:41.")
-@click.option("--stiffness", type=VALUES, required=True, metavar="k/K", help="Contact stiffness, likewise: 1e-3:0.1:60:log.")
-@click.option("--poisson", type=VALUES, required=True, metavar="ν", help="Poisson's ratio, likewise.")
-@click.option("--prestress", type=VALUES, metavar="φ", help="Prestress of the contacts, in σ_s, likewise.")
-@click.option("--threshold-slope", type=VALUES, metavar="ε", help="Threshold gradient, in σ_s per site, likewise.")
-@click.option("--repin-delay", type=VALUES, metavar="n", help="Sites behind the front where contacts repin, likewise.")
+@click.command(
+    cls=Grouped,
+    groups={
+        "Slider": "height stiffness poisson prestress threshold-slope repin-delay width right sites",
+        "Pushed block": "push-height push-width push-control friction normal-stiffness contact-law top",
+        "Output": "outputs points out figure json",
+        "Store and workers": "store resume chunk share scheduler help",
+    },
+)
+@click.option("--height", type=VALUES, required=True, metavar="H/λc", help="Height of the slider, such as 10:50:41.")
+@click.option("--stiffness", type=VALUES, required=True, metavar="k/K", help="Contact stiffness, such as 1e-3:0.1:60:log.")
+@click.option("--poisson", type=VALUES, required=True, metavar="ν", help="Poisson's ratio.")
+@click.option("--prestress", type=VALUES, metavar="φ", help="Prestress of the contacts, in σ_s.")
+@click.option("--threshold-slope", type=VALUES, metavar="ε", help="Threshold gradient, in σ_s per site.")
+@click.option("--repin-delay", type=VALUES, metavar="n", help="Sites behind the front where contacts repin.")
 @click.option("--width", type=VALUES, metavar="w", help="Width of the smooth break rule, for smooth_length.")
 @click.option("--push-height", type=VALUES, metavar="h/H", help="Height of the push, for block_precursor_length.")
-@click.option("--push-width", type=VALUES, metavar="w/H", help="Height of the pusher; all above --push-height by default.")
-@choice("--push-control", Control, "What is held while it breaks.", default="displacement")
+@click.option(
+    "--push-width", type=VALUES, metavar="w/H", help="Height of the pusher; everything above --push-height by default."
+)
+@choice(
+    "--push-control",
+    Control,
+    "Hold the displacement (default) or the force during an event.",
+    default="displacement",
+)
 @contacts_of_block(VALUES)
-@click.option("--outputs", default="length,status", show_default=True, metavar="A,B", help="Outputs at each point.")
-@click.option("--points", is_flag=True, help="Take the values together, as points, instead of every combination.")
+@click.option("--outputs", default="length,status", show_default=True, metavar="A,B", help="Compute these at each point.")
+@click.option("--points", is_flag=True, help="Pair the values as points, instead of combining all of them.")
 @right_end
-@click.option("--sites", type=click.IntRange(min=2), metavar="N", help="Contacts of a chain with a right end.")
-@click.option("--store", metavar="FOLDER", help="Write the result to this folder, or s3://… and such, as it is computed.")
-@click.option("--resume/--no-resume", default=True, show_default=True, help="Resume the sweep that --store holds, if any.")
+@click.option("--sites", type=click.IntRange(min=2), metavar="N", help="Number of contacts of a chain with a right end.")
+@click.option("--store", metavar="FOLDER", help="Write the result there as it is computed; s3://… and such work too.")
+@click.option("--resume/--no-resume", default=True, show_default=True, help="Resume the sweep in --store, if there is one.")
 @click.option("--chunk", type=click.IntRange(min=1), metavar="N", help="Largest number of points per chunk or task.")
-@click.option("--share", callback=_pair, metavar="I/N", help="Compute only the I-th of N shares (I from 0) into the store.")
-@click.option("--scheduler", metavar="ADDRESS", help="Compute on the workers of this Dask scheduler, such as tcp://node0:8786.")
+@click.option("--share", callback=_pair, metavar="I/N", help="Compute share I of N only, from 0, into the store.")
+@click.option("--scheduler", metavar="ADDRESS", help="Compute on the workers of this Dask scheduler: tcp://node0:8786.")
 @click.option("--out", callback=table_path, metavar="FILE", help="Write the result to .csv or .nc.")
-@click.option("--figure", callback=figure_path, metavar="FILE", help="Draw the first output: a map, or a family of lines.")
+@click.option("--figure", callback=figure_path, metavar="FILE", help="Draw the first output as a map or a family of lines.")
 @as_json
 def command(
     outputs: str, store: str | None, scheduler: str | None, out: Path | None, figure: Path | None, as_json: bool, **request: Any
 ) -> None:
     """Compute first precursors over ranges, as CSV or into a resumable store.
 
-    --outputs takes length, exact_length, smooth_length, block_precursor_length; contacts_broken, status, exact_status;
-    edge_stress, nucleation_load, b, slow_decay_length; gradients (dlength_dheight …), theory (length_eq25, length_eq58,
-    length_frozen, length_continuum, length_envelope, length_macroscopic, runaway_prestress) and validity (is_one_domino,
-    is_continuous, is_frozen, is_far_from_edge).
-    """
+    Each value is a number, a list a,b,c or a range first:last:count[:log].
+
+    \b
+    Names for --outputs:
+      length, exact_length, smooth_length, block_precursor_length,
+      contacts_broken, status, exact_status,
+      edge_stress, nucleation_load, b, slow_decay_length,
+      gradients (dlength_dheight …),
+      theory (length_eq25, length_eq58, length_frozen, length_continuum,
+        length_envelope, length_macroscopic, runaway_prestress),
+      validity (is_one_domino, is_continuous, is_frozen, is_far_from_edge).
+    """  # noqa: D301  (click's mark of a paragraph that keeps its lines)
     share = request["share"]
     if store is None and (share or (request["chunk"] and not scheduler)):
         raise click.UsageError("--share and --chunk go with --store")
@@ -79,6 +102,13 @@ def command(
     if figure is not None:
         _check_drawable(request, store)
     found = _sweep(store, **request, outputs=outputs.split(","), client=scheduler)
+    if not found.attrs["complete"]:
+        done = "share {}/{} is done".format(*share)
+        if out is not None or figure is not None:
+            refuse(f"{done}; for the whole, other shares of {store} are not there yet", INCOMPLETE)
+        click.echo(f"{done}; other shares of {store} are not there yet", err=True)
+        if not as_json:
+            return
     _hand_over(found, out, figure, as_json, store)
 
 
@@ -117,8 +147,6 @@ def _sweep(store: str | None, **request: Any) -> "xr.Dataset":
         if store is None:
             raise
         refuse(f"{error}; {_kept(store)}", INCOMPLETE)
-    if not found.attrs["complete"]:
-        refuse(f"other shares of {store} are not there yet; {_kept(str(store))}", INCOMPLETE)
     return found
 
 

@@ -118,11 +118,11 @@ def fit(
         default simulated where valleys of the deviance compete, or its shape is far from a parabola.
     event : {"domino", "full", "crack", "sequence"} or Front
         What was measured: the first front; or the whole event, in which contacts may break again where the areal stiffness is
-        large (`rebreaking_onset`), with a cost that grows with it (docs/fit/use.md), for lengths without gauges; or the front
-        of a crack, behind which contacts slide at a "friction" that is fitted or held (docs/model/crack.md); or a sequence, the
-        forces at which the front of a block first reaches each place up to sliding (docs/fit/sequence.md). By default "domino"
-        of a slider, and of a block "sequence" where it has forces, else "full". Or a model of one's own, a `Front`
-        (docs/howto/model.md).
+        large (`rebreaking_onset`), with a cost that grows with it (docs/appendix/method.md), for lengths without gauges; or
+        the front of a crack, behind which contacts slide at a "friction" that is fitted or held (docs/model/beyond.md); or a
+        sequence, the forces at which the front of a block first reaches each place up to sliding (docs/fit/sequence.md). By
+        default "domino" of a slider, and of a block "sequence" where it has forces, else "full". Or a model of one's own, a
+        `Front` (docs/howto/extend.md).
     body : {"slider", "block"}
         The paper's slider; or a block under two-dimensional elasticity, pushed where `measurements` say (docs/model/block.md):
         taken by default where they say so for every line.

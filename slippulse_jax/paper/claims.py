@@ -97,6 +97,7 @@ def page(results: list[Result]) -> str:
     count = {verdict: sum(r.verdict == verdict for r in results) for verdict in (HOLDS, WITHIN, FAILS)}
     head = (
         "# The paper's claims, measured\n\n"
+        "This page shows which claims of the paper hold in this model. It is for readers of the paper, and for referees.\n\n"
         "Written by `slippulse claims --write docs/appendix/claims.md`; every number is measured when the page is written, and every verdict "
         "follows from the numbers by the criterion stated beside it. Where the paper gives no number (*almost*, *roughly*), the "
         "criterion is this project's. Unless stated otherwise: $H/\\lambda_c = 25$, $k/K = 0.03$, $\\nu = 0.3$.\n\n"

@@ -1,6 +1,6 @@
 """Limits and closed forms: run-away prestress, macroscopic law, edge behind a front, envelope, decay along a block.
 
-Derivations in ``docs/appendix/macroscopic.md``. Lengths in λc unless said otherwise.
+Derivations in ``docs/appendix/theory.md``. Lengths in λc unless said otherwise.
 """
 
 from typing import Any

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import click
 import numpy as np
 import pytest
 
@@ -62,13 +63,33 @@ def test_help_and_version_do_not_import_jax():
     assert done.returncode == 0, done.stderr
     assert "fit" in done.stdout
     assert "length" in done.stdout
-    for command in ("length", "fit"):
-        loaded = code.replace("'--help'", f"'{command}', '--help'").replace(" and 'numpy' not in sys.modules", "")
+    for command, option in (("length", "--help"), ("fit", "--help"), ("fit", "--columns")):
+        loaded = code.replace("'--help'", f"'{command}', '{option}'").replace(" and 'numpy' not in sys.modules", "")
         done = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, cwd=ROOT)
         assert done.returncode == 0, done.stderr
-        assert "--json" in done.stdout
+        assert ("--json" in done.stdout) == (option == "--help")
     for column in [*COLUMNS.values(), *OF_GAUGES.values()]:
         assert f"  {column.name(in_si=True)}  " in done.stdout
+
+
+@pytest.mark.parametrize("name", [name for name in cli.COMMANDS if name not in ("claims", "figures")])
+def test_help_lists_each_option_in_one_group(name):
+    """The help of a command fits one screen of 60 lines, 100 characters wide."""
+    root = click.Context(cli.slippulse, info_name="slippulse", terminal_width=100, **cli.slippulse.context_settings)
+    command = cli.slippulse.get_command(root, name)
+    context = click.Context(command, info_name=name, parent=root)
+    shown = command.get_help(context).splitlines()
+    assert len(shown) <= 60
+    assert max(map(len, shown)) <= 100
+    options = [max(one.opts, key=len) for one in command.get_params(context) if one.param_type_name == "option"]
+    assert len(options) >= 14
+    assert sorted(f"--{one}" for names in command.groups.values() for one in names.split()) == sorted(options)
+    for title in command.groups:
+        assert f"{title}:" in shown
+    for option in options:
+        assert sum(line.lstrip().removeprefix("-h, ").split(" ")[0] == option for line in shown if line[:2] == "  ") == 1, (
+            option
+        )
 
 
 def test_length(in_this_process):
@@ -244,7 +265,7 @@ def test_fit_reports_and_draws(tmp_path):
     figure = tmp_path / "fit.svg"
     done = slippulse("fit", PMMA, "--figure", str(figure))
     assert done.returncode == 0, done.stderr
-    assert "│ Identified. From 6 lengths of lengths.csv: " in done.stdout
+    assert "│ Identified. From 6 lengths of lengths.csv, " in done.stdout
     assert "Pa/m" in done.stdout
     assert done.stderr.strip() == f"figure written to {figure}"
     assert figure.read_bytes().startswith(b"<?xml")
@@ -311,7 +332,7 @@ def test_data_that_cannot_tell_is_an_answer_not_an_error(tmp_path, in_this_proce
     path.write_text("height,poisson,length,length_sigma\n25,0.3,40,0.5\n")
     done = in_this_process("fit", str(path))
     assert done.returncode == 0
-    assert "│ Not identifiable: the length is at or above the attainable maximum; " in done.stdout
+    assert "│ Not identifiable: the length is at or above the attainable maximum. " in done.stdout
 
 
 def test_interrupted():

@@ -1,6 +1,8 @@
 """``slippulse fit``: options, request files, a run repeated from its own JSON, and refusals with exit status 2."""
 
 import json
+import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,8 @@ from slippulse_jax.inference.fit import fit
 from slippulse_jax.inference.result.record import from_request, read_request
 from slippulse_jax.inference.table.measurements import Measurements
 
-DATA = str(Path(__file__).resolve().parents[2] / "fit_examples/pmma_block/lengths.csv")
+ROOT = Path(__file__).resolve().parents[2]
+DATA = str(ROOT / "fit_examples/pmma_block/lengths.csv")
 
 
 def run(*arguments):
@@ -68,8 +71,6 @@ def test_pictures(tmp_path):
     ],
 )
 def test_refusals(arguments, message):
-    import re
-
     done = run(*arguments)
     assert done.exit_code == 2, done.output
     assert re.search(message, done.output)
@@ -80,7 +81,7 @@ def test_lengths_on_the_plateau_are_named_in_the_remarks(tmp_path):
     path = tmp_path / "plateau.csv"
     path.write_text("height,poisson,length,length_sigma\n25,0.3,26.2,0.3\n40,0.3,30,0.3\n")
     done = CliRunner().invoke(command, [str(path)])
-    assert "\n  - 1 of 2 lengths lies within 3% of the longest attainable" in done.stdout
+    assert "\n  - 1 of 2 lengths lies within 3 % of the longest attainable" in done.stdout
     assert run("--free", "stiffness", "--json").stderr == ""
 
 
@@ -90,9 +91,10 @@ def test_a_prior_in_the_unit_of_the_table_is_said():
     done = run("--free", "stiffness", "--free", "height", "--prior", "height=25,1", "--intervals", "profile")
     assert done.exit_code == 0, done.output
     hint = "height = 25 m, where height_mm says 0.025 m: priors, bounds and held values are in m; is it in mm?"
+    sentences = hint.replace("; is", ". Is")
     assert done.stderr.count(hint) == 1
     assert f"check first: {hint}\n" in done.stderr
-    assert f"Check first: {hint}" in unfolded(done.stdout)
+    assert f"Check first: {sentences}" in unfolded(done.stdout)
 
 
 @pytest.mark.ci
@@ -153,3 +155,40 @@ def test_requests_of_wrong_types_are_refused(tmp_path):
         refused(json.dumps({"parameters": value}))
     for text in ('{"a":' * 100_000, "a=" + "[" * 100_000, '{"request": 3}'):
         refused(text)
+
+
+def test_an_example_is_a_worked_fit(monkeypatch, tmp_path):
+    """The wheel has the table of each worked fit, and `--example` finds them all, wherever it is run."""
+    monkeypatch.chdir(tmp_path)
+    tables = sorted(path.relative_to(ROOT).as_posix() for path in ROOT.glob("fit_examples/*/lengths.csv"))
+    wheel = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["hatch"]["build"]["targets"]["wheel"]
+    assert wheel["force-include"] == {table: f"slippulse_jax/{table}" for table in tables}
+    read = []
+    monkeypatch.setattr(
+        "slippulse_jax.inference.table.measurements.read_measurements", lambda path, **_: read.append(path) or 1 / 0
+    )
+    for table in tables:
+        done = CliRunner().invoke(command, ["--example", Path(table).parent.name])
+        assert isinstance(done.exception, ZeroDivisionError)
+        assert read[-1].read_bytes() == (ROOT / table).read_bytes()
+    assert len(set(read)) == len(tables) >= 8
+
+
+@pytest.mark.ci
+def test_an_example_is_fitted_as_its_table():
+    assert CliRunner().invoke(command, ["--example", "pmma_block", "--json"]).stdout == run("--json").stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--example", "pmma_blok"], r"'pmma_blok': one of counts_.*, threshold_profile; did you mean pmma_block\?"),
+        (["--example", "my.csv"], "'my.csv': one of counts_.*, threshold_profile$"),
+        (["my.csv", "--example", "pmma_block"], "--example pmma_block and my.csv are two tables to fit: give one"),
+        ([], "Missing argument 'LENGTHS.CSV': give a table, or --example pmma_block"),
+    ],
+)
+def test_one_table_is_fitted(arguments, message):
+    done = CliRunner().invoke(command, arguments)
+    assert done.exit_code == 2
+    assert re.search(message, done.output, flags=re.M)

@@ -180,7 +180,7 @@ def test_friction_curve(ax, catalogue):
     np.testing.assert_array_equal(load[1::2], catalogue.load)
     edge = np.asarray(catalogue.kind) == EventClass.EDGE
     np.testing.assert_array_equal(ax.lines[1].get_xdata(), np.asarray(catalogue.load)[edge])
-    assert [t.get_text() for t in ax.get_legend().get_texts()] == ["edge"]
+    assert [t.get_text() for t in ax.get_legend().get_texts()] == ["force", "edge"]
 
 
 def test_space_time(ax, catalogue):

@@ -72,11 +72,17 @@ def test_help_names_every_output():
     assert names <= set(re.findall(r"\w+", shown))
 
 
-def test_share_is_incomplete_then_resumed(tmp_path):
+@pytest.mark.parametrize("chunk", [(), ("--chunk", "4")])
+def test_share_is_done_then_the_whole(tmp_path, chunk):
+    """A job array calls a task that has done its part finished; the whole, as a file, is not there yet."""
     store = str(tmp_path / "s")
-    done = invoke(*GRID, "--store", store, "--chunk", "4", "--share", "0/2")
+    done = invoke(*GRID, "--store", store, *chunk, "--share", "0/2", "--json")
+    assert done.exit_code == 0
+    assert done.stderr == f"share 0/2 is done; other shares of {store} are not there yet\n"
+    assert json.loads(done.stdout)["complete"] is False
+    done = invoke(*GRID, "--store", store, *chunk, "--share", "0/2", "--out", str(tmp_path / "whole.csv"))
     assert done.exit_code == 4
-    assert "the same command resumes it" in done.stderr
+    assert not (tmp_path / "whole.csv").exists()
     done = invoke(*GRID, "--store", store, "--no-resume")
     assert done.exit_code == 2
     assert "holds a sweep already" in done.stderr
