@@ -164,6 +164,7 @@ def page(found: dict) -> str:
     ours = seconds["this package"]
     lines = [
         "# Benchmarks", "",
+        "This page shows how fast lengths are computed in bulk. It is for readers who plan large scans.", "",
         "Written by `python -m benchmarks lengths`; every number of a table is from one run. "
         f"Machine: {found['machine']}.{found['remark']}", "",
         "## 200 000 random points", "",
@@ -180,7 +181,7 @@ def page(found: dict) -> str:
         *(f"| {n} | {t:.2g} | {1e6 * t / n:.3g} | {1e6 * o / n:.3g} |" for n, t, o in zip(*found["counts"].values(), strict=True)), "",
         *_flat(found["counts"]),
         *_start(found),
-        "On a GPU: [Use a GPU](../appendix/gpu.md).", "",
+        "On a GPU: [Use a GPU](gpu.md).", "",
     ]  # fmt: skip
     return "\n".join(lines)
 

@@ -1,4 +1,4 @@
-"""Whole contacts, and fronts that ran out of sight: what they say without an error bar of their own."""
+"""Whole contacts, and fronts that ran out of sight, without errors of their own."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ TRUE_STIFFNESS = 0.006
 
 
 def main() -> FitResult:
-    """Fit, with the counts as counts; then see what is lost without the fronts that ran through."""
+    """Fit counts as counts; then see what is lost without fronts that ran through."""
     data = sp.read_measurements(Path(__file__).with_name("lengths.csv"))
     result = sp.fit(data)
     print(result.report())

@@ -1,4 +1,4 @@
-"""Areal stiffness from blocks whose thresholds follow the pressure, which fit no block without it."""
+"""Areal stiffness from blocks whose thresholds follow the pressure."""
 
 import math
 from pathlib import Path
@@ -10,7 +10,7 @@ TRUE_AREAL_STIFFNESS = 9.0e10  # Pa/m, what make_data.py put in
 
 
 def main() -> FitResult:
-    """Fit the blocks, print the report, and check that the known stiffness is found again, and without friction is not."""
+    """Fit, and check that the known stiffness is found, and without friction is not."""
     result = sp.fit(sp.read_measurements(Path(__file__).with_name("lengths.csv")))
     print(result.report())
     (interval,) = result.intervals["areal_stiffness"][0.95]

@@ -1,4 +1,4 @@
-"""One block under different shears of its top: the stiffness with the shear known, and the shear itself where it is not."""
+"""One block under different shears of its top: its stiffness, or an unknown shear."""
 
 import dataclasses
 from pathlib import Path
@@ -14,13 +14,15 @@ def main() -> FitResult:
     data = sp.read_measurements(Path(__file__).with_name("lengths.csv"))
     result = sp.fit(data)
     print(result.report())
-    assert any(piece.low < TRUE_STIFFNESS < piece.high for piece in result.intervals["stiffness"][0.95])
+    pieces = result.intervals["stiffness"][0.95]
+    assert any(piece.low < TRUE_STIFFNESS < piece.high for piece in pieces)
     # forgetting the shear: no stiffness explains lengths that differ on one block
     blind = sp.fit(dataclasses.replace(data, prestress=None))
     print(f"Without the shear: {blind.identifiability.value}")
     assert blind.deviance > 100 * result.deviance
     # the other way: a block of known stiffness is a gauge of shear
-    last = sp.Measurements(height=20, poisson=0.3, length=data.length[-1:], length_sigma=0.5)
+    length = data.length[-1:]
+    last = sp.Measurements(height=20, poisson=0.3, length=length, length_sigma=0.5)
     gauge = sp.fit(last, free=("prestress",), fixed={"stiffness": TRUE_STIFFNESS})
     print(gauge.report())
     (shear,) = gauge.intervals["prestress"][0.95]

@@ -1,4 +1,4 @@
-"""Areal stiffness from one block pushed at six heights, and what the paper's slider makes of the same lengths."""
+"""Areal stiffness from one block pushed at six heights; the slider is refused."""
 
 import math
 from pathlib import Path
@@ -10,7 +10,7 @@ TRUE_AREAL_STIFFNESS = 9.0e10  # Pa/m, what make_data.py put in
 
 
 def main() -> FitResult:
-    """Fit the block, print the report, and check that the known stiffness is found again and the slider refused."""
+    """Fit, and check that the known stiffness is found and the slider refused."""
     result = sp.fit(sp.read_measurements(Path(__file__).with_name("lengths.csv")))
     print(result.report())
     (interval,) = result.intervals["areal_stiffness"][0.95]

@@ -1,4 +1,4 @@
-"""Areal stiffness and friction from the lengths and forces of one block up to sliding."""
+"""Areal stiffness and friction from one block up to sliding."""
 
 from pathlib import Path
 
@@ -9,8 +9,9 @@ TRUE = {"areal_stiffness": 5.8e10, "friction": 0.35}  # Pa/m, what make_data.py 
 
 
 def main() -> FitResult:
-    """Fit the sequence, print the report, and check that both numbers are found again."""
-    result = sp.fit(Path(__file__).with_name("lengths.csv"), free=["stiffness", "friction"])
+    """Fit the sequence, and check that both numbers are found again."""
+    table = Path(__file__).with_name("lengths.csv")
+    result = sp.fit(table, free=["stiffness", "friction"])
     print(result.report())
     for name, truth in TRUE.items():
         (interval,) = result.intervals[name][0.95]

@@ -12,13 +12,15 @@ HERE = Path(__file__).resolve().parent
 
 
 def main() -> RecoveredProfile:
-    """Recover the profile, and hold it to the one the data were made with, where it is determined."""
+    """Recover the profile, and compare it with the true one where it is determined."""
     truth = runpy.run_path(str(HERE / "make_data.py"))["threshold"]
-    found = sp.recover_profile(sp.read_measurements(HERE / "lengths.csv"), stiffness=0.03)
+    data = sp.read_measurements(HERE / "lengths.csv")
+    found = sp.recover_profile(data, stiffness=0.03)
     print(found.report())
     low, high = found.interval(0.95)
     inside = (low < truth(found.position)) & (truth(found.position) < high)
-    print(f"{found.determined.sum()} places determined; true profile inside the 95 % band at {inside[found.determined].sum()}")
+    places, right = found.determined.sum(), inside[found.determined].sum()
+    print(f"{places} places determined; the true profile in the 95 % band at {right}")
     assert found.determined.sum() >= 8
     assert inside[found.determined].mean() >= 0.85
     assert np.ptp(found.profile[found.determined]) > 0.1

@@ -21,7 +21,7 @@ from slippulse_jax.bodies.modes import ChainFields
 from slippulse_jax.events.catalogue import Catalogue, EventClass
 from slippulse_jax.events.inertia import Motion
 from slippulse_jax.front.front import FRONT_OUTCOMES
-from slippulse_jax.inference.result.verdict import Identifiability
+from slippulse_jax.inference.result.verdict import ANSWERS, FAQ, Identifiability
 from slippulse_jax.status import Outcome
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -61,6 +61,16 @@ def test_every_public_name_is_in_the_reference():
     assert {name for name, thing in public.items() if not any(thing is known for known in REFERENCE.values())} == set()
     short = {name for name in REFERENCE if "." not in name}
     assert short <= set(public), "documented as public, but not public"
+
+
+def test_the_front_page_of_the_reference_lists_every_public_name():
+    """Once each, linked to the page that documents it."""
+    index = (DOCS / "reference" / "index.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^\| \[`(\w+)`\]\((\w+\.md)\) \| \S.* \|$", index, flags=re.M)
+    assert sorted([*(name for name, _ in listed), "__version__"]) == sorted(sp.__all__)
+    for name, page in listed:
+        text = (DOCS / "reference" / page).read_text(encoding="utf-8")
+        assert re.search(rf"^\.\. auto\w+:: (?:slippulse_jax\.)?{name}$", text, flags=re.M), f"{name} is not on {page}"
 
 
 def sources():
@@ -202,9 +212,9 @@ def jax_as_it_is():
 QUICK = ("index.md",)
 """Pages of which README's command runs the programs; CI runs those of the others too."""
 LONG = {
-    "fit/block.md", "fit/design.md", "fit/gauges.md", "fit/optax.md", "fit/own_csv.md", "fit/own_likelihood.md",
-    "fit/own_observable.md", "fit/sequence.md", "howto/break_rule.md", "howto/pictures.md", "learn/gallery.md", "model/block.md", "appendix/block_theory.md", "model/experiments.md", "model/gradients.md",
-    "model/precursors.md",
+    "fit/block.md", "fit/design.md", "fit/gauges.md", "fit/inputs.md", "fit/jax.md", "fit/own_csv.md", "fit/sequence.md",
+    "howto/extend.md", "howto/pictures.md", "learn/gallery.md", "model/block.md", "model/gradients.md", "model/series.md",
+    "appendix/block_theory.md", "appendix/experiments.md",
 }  # fmt: skip
 """Pages whose programs take longest and call what other tests hold: they run every night."""
 
@@ -239,7 +249,7 @@ def test_examples_of_a_page_run(page, tmp_path, monkeypatch, jax_as_it_is):
 def test_every_how_to_ends_in_an_assertion_of_its_point():
     """In its last program, if it has one that runs here."""
     pages = [page for page in PAGES if page.startswith(("howto/", "fit/"))]
-    assert len(pages) >= 12
+    assert len(pages) >= 11
     for page in pages:
         *_, (_, last) = documented.blocks(DOCS / page, "python")
         assert re.search(r"^\s*assert ", last, flags=re.M), page
@@ -255,8 +265,8 @@ def test_what_is_not_run_says_so():
             if kind not in ("python", "sh", "csv", "text") and not kind.startswith(("{toctree", "{include"))
         }
         allowed = {
-            "clusters.md": {"bash", "{code-block} python"},
-            "own_likelihood.md": {"{code-block} python"},
+            "sweeps.md": {"bash", "{code-block} python"},
+            "jax.md": {"{code-block} python"},
             "series.md": {"bash"},
             "install.md": {"bash"},
         }
@@ -286,10 +296,17 @@ def test_links_between_pages_lead_somewhere():
                 assert path.parent.joinpath(link).exists(), f"{page}: {link}"
 
 
-@pytest.mark.parametrize("folder", ["pmma_block", pytest.param("pushed_block", marks=pytest.mark.ci)])
-def test_sentence_for_a_paper(folder, worked):
+def test_sentence_for_a_paper(worked):
     """The page quotes what `FitResult.methods` writes, but for the version."""
-    page = (DOCS / "fit" / "own_csv.md").read_text(encoding="utf-8")
+    page = (DOCS / "fit" / "report.md").read_text(encoding="utf-8")
     without = re.compile(r"slippulse_jax [0-9.a-z]+\)")
-    said = worked(folder).methods()
+    said = worked("pmma_block").methods()
     assert without.sub("", said) in [without.sub("", quoted) for quoted in re.findall(r"^> (.*)$", page, flags=re.M)]
+
+
+def test_addresses_of_reports_lead_to_answers():
+    """Every slug that a report prints is a heading of the page of questions."""
+    page = (DOCS / "fit" / "faq.md").read_text(encoding="utf-8")
+    slugs = {heading.lower().replace(" ", "-") for heading in re.findall(r"^#+ (.+)$", page, flags=re.M)}
+    assert FAQ == "docs/fit/faq.md"
+    assert set(ANSWERS.values()) <= slugs

@@ -88,7 +88,7 @@ def test_a_block_that_a_program_in_single_precision_holds(float32):
     assert "f32" in str(program)
 
 
-PROGRAMS = ["README.md", "docs/fit/own_observable.md"]
+PROGRAMS = ["README.md", "docs/howto/extend.md"]
 
 
 @pytest.mark.slow

@@ -152,12 +152,11 @@ def test_readme_examples_run(monkeypatch, capsys):
     scope = {}
     for _, block in documented.blocks(ROOT / "README.md", "python"):
         documented.run_python(block, "README.md", scope)
-    assert int(scope["front"].contacts_broken) == 26
-    assert scope["scan"].shape == (3, 3)
-    assert scope["scan"][1, 2] == pytest.approx(PAPER.length, abs=1e-9)
+    assert scope["length"] == pytest.approx(PAPER.length, abs=1e-9)
+    assert scope["slope"].stiffness > 0
     fitted = slippulse_jax.fit("fit_examples/pmma_block/lengths.csv")
     assert scope["f"].values(scope["theta"])["areal_stiffness"] == pytest.approx(fitted.values["areal_stiffness"], rel=1e-6)
-    assert "│ Identified. From 6 lengths of lengths.csv" in capsys.readouterr().out
+    assert capsys.readouterr().out.startswith("25.78")
 
 
 def test_readme_commands_are_the_ones_ci_runs():
