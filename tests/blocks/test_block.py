@@ -777,7 +777,7 @@ def test_a_machine_on_the_slider_as_a_waveguide(machine):
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("friction", [None, 0.2])
+@pytest.mark.parametrize("friction", [pytest.param(None, marks=pytest.mark.slow), 0.2])
 def test_a_block_pushed_through_a_machine(friction):
     """It is the first event of a series through that spring; its pusher is in balance; a stiff machine is none."""
     block = sp.Block(12.0, 0.03, 0.3, sp.Push(0.3), length=48, friction=friction)

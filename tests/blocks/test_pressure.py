@@ -435,6 +435,7 @@ def test_a_series_with_ageing_is_that_of_a_dense_program(machine, prestress, see
 
 
 @pytest.mark.ci
+@pytest.mark.slow
 def test_rough_contacts_age_too():
     """Without friction both laws are one, with ageing and through a machine too; with it each event begins at a threshold."""
     of, ageing = (16, 1.0, sp.Push(0.25, 0.1)), sp.Ageing(0.5, 1.0)

@@ -73,6 +73,7 @@ def test_damaged_files_are_replaced_and_an_unwritable_folder_is_not_missed(tmp_p
 
 
 @pytest.mark.ci
+@pytest.mark.slow
 def test_a_program_of_the_cache_of_jax_is_compiled_as_usual(tmp_path):
     """XLA cannot write such a program whole; and what is kept whole is not in that cache too."""
     cache = {"JAX_COMPILATION_CACHE_DIR": str(tmp_path / "jax"), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}

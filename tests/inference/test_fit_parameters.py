@@ -133,7 +133,7 @@ def test_parts_of_a_sum_of_squares():
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("prestressed", [False, True])
+@pytest.mark.parametrize("prestressed", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_slopes_are_those_of_the_closed_form(prestressed):
     """In every input, and the second derivative along a line in all, against the series: the longer a front the closer."""
     rng = np.random.default_rng(2)

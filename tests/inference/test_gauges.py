@@ -100,7 +100,7 @@ def table(kind="whole", noise=None, heights=(25.0, 50.0)):
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("kind", ["whole", "length"])
+@pytest.mark.parametrize("kind", [pytest.param("whole", marks=pytest.mark.slow), "length"])
 def test_objective(kind):
     """Its gradient against differences of its value; the density that a sampler sees is the same function."""
     m = table(kind, np.random.default_rng(0))

@@ -44,6 +44,7 @@ def crack_table(heights=(32.0,), noise=None):
 
 
 @pytest.mark.ci
+@pytest.mark.slow
 def test_a_crack_gives_its_parameters_back():
     result = sp.fit(crack_table(), ["stiffness", "strength", "friction"], event="crack")
     assert result.values["areal_stiffness"] == pytest.approx(AREAL, rel=1e-5)

@@ -426,6 +426,7 @@ def test_the_front_is_chosen_by_the_table():
 
 
 @pytest.mark.ci
+@pytest.mark.slow
 def test_two_sequences_in_one_table():
     """Of two blocks of one interface: a value that both share, or one for each; a block that changes within one is refused."""
     first, second = table_of(0.8, 0.35, seed=1), table_of(0.8, 0.35, seed=2)
