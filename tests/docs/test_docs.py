@@ -5,6 +5,7 @@ import enum
 import importlib
 import importlib.util
 import inspect
+import os
 import pkgutil
 import re
 import typing
@@ -101,7 +102,7 @@ def is_there(name):
 def test_every_name_of_the_package_that_a_text_uses_exists():
     """Whatever follows ``sp.`` or ``slippulse_jax.``; NAME stands for any of them."""
     used = {
-        (path.relative_to(ROOT).as_posix(), name)
+        (os.path.relpath(path, ROOT), name)  # of the installed package, which may lie elsewhere
         for path in sources()
         for name in re.findall(r"(?<![\w./])(?:sp|slippulse_jax)\.((?:\w+\.)*\w+)", path.read_text(encoding="utf-8"))
     }
