@@ -67,7 +67,8 @@ class Objective:
     def bounds(self) -> dict[str, tuple[float, float]]:
         """Range of each θ that `fit` searches.
 
-        The function itself has no such limits, but is inf outside the domain, as for ν > 0.5.
+        The function itself has no such limits, but is inf outside the domain, as for ν > 0.5. Its slopes mean
+        nothing there.
         """
         return {one.label: (one.low, one.high) for one in self.problem.parameters.free}
 

@@ -58,7 +58,7 @@ STIFFEST = 1.0
 FULL_TO = 200.0
 """Largest b searched for whole events, unless bounds go farther: their cost grows with it."""
 RISING = 0.01
-"""b up to which every length certainly rises with stiffness."""
+"""b up to which every length of a slider certainly rises with stiffness."""
 LANES = Layout(chunk=256, fusion_emitters=False)
 """Layout of lanes of models without a kernel of their own."""
 LOOP = Layout(chunk=120)
@@ -113,6 +113,7 @@ class Front:
     held: str = "the edge"  # does not move during the event
     thresholds: str = "uniform thresholds"
     # of fits that version 0.2 saved; where lengths are not interpolated nothing is added today
+    rising: ClassVar[float] = 0.0  # b up to which every length is known to rise with stiffness
     uncertain_as: ClassVar[str] = "a length between two whole contacts is defined only"
 
     def check(self, m: Measurements, names: Collection[str]) -> None:
@@ -253,10 +254,10 @@ class Front:
 
         By a scan, and closer scans around its top.
 
-        Below b = `RISING` the length of a slider rises with stiffness, so that nothing softer is looked at. That of a block
-        under friction need not.
+        Where lengths are known to rise with stiffness, up to b = `rising`, nothing softer is looked at. Those of blocks under
+        friction, and of models of one's own, may fall there.
         """
-        rising = (np.log(RISING) if self.body == "slider" else -np.inf) + inputs.log_stiffness - inputs.log_b
+        rising = (np.log(self.rising) if self.rising else -np.inf) + inputs.log_stiffness - inputs.log_b
         low = np.minimum(np.maximum(low, rising), high)
         best, where = np.empty(len(low)), np.empty(len(low))
         for count in (129, 17, 17, 17, 17):
@@ -282,6 +283,7 @@ class FirstFront(Front):
     """
 
     event = "domino"
+    rising = RISING
     inputs = {
         "log_sites": Input("L/λc", np.log(2.0), np.inf, "must be at least 2"),
         "log_machine": Input("M/K", np.log(1e-30), np.inf, "must be positive"),
@@ -412,6 +414,7 @@ class WholeEvent(Front):
     """The whole event on a slider: ℓ times an interpolated factor."""
 
     event = "full"
+    rising = RISING
     interpolated = True
     most_off = 1.0
     length_modelled = "length of the whole event, in which contacts may break again"
@@ -491,6 +494,7 @@ class CrackFront(Front):
     """A crack-like front, behind which contacts slide, in closed form."""
 
     event = "crack"
+    rising = RISING
     inputs = {"friction": Input("σ_k/σ_s", 0.0, 1.0, "must be 0 or more, and below 1", 1e-5, (0.0, np.inf))}
     name = "first crack-like precursor"
     length_modelled = "contacts behind it slide at the friction σ_k; exact length"

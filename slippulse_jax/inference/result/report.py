@@ -822,7 +822,7 @@ def _of_pulls(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
     each = result.measurements.option("--each-specimen stiffness", 'free=[sp.Parameter("stiffness", each="specimen")]')
     checks += [f"the specimens may differ in stiffness ({each})"] * together
     checks += ["the lengths do not vary with the height as the model's do"] * bool(shared)
-    yield f"the lengths put {which} what was stated; that is more than chance would; {'; or '.join(checks)}"
+    yield f"the lengths put {which} what was stated, more than chance would; {'; or '.join(checks)}"
 
 
 def _of_shape(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
