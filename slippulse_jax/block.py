@@ -45,12 +45,20 @@ LENGTH = Domain(1, 2**31 - 1, "a block is at least two contacts long")
 OF_SIDE = Domain(0, 1, "must lie in (0, 1): a part of the height of the block")
 
 
-def _float_or_none(x: Any) -> Any:
-    return None if x is None else as_float(x)
+def _one(name: str, x: Any) -> Any:
+    x = as_float(name, x)
+    if np.shape(x):
+        raise ValueError(f"{name} has shape {np.shape(x)}: one block at a time; use jax.vmap")
+    return x
 
 
-def _finite_or_none(x: Any) -> Any:
-    return None if x is None or (not isinstance(x, Tracer) and np.ndim(x) == 0 and np.isposinf(x)) else as_float(x)
+def _one_or_none(name: str, x: Any) -> Any:
+    return None if x is None else _one(name, x)
+
+
+def _finite_or_none(name: str, x: Any) -> Any:
+    x = _one_or_none(name, x)
+    return x if x is None or isinstance(x, Tracer) or not np.isposinf(x) else None
 
 
 def _whole_or_none(x: Any) -> Any:
@@ -58,11 +66,11 @@ def _whole_or_none(x: Any) -> Any:
         return x
     if isinstance(x, Tracer):
         raise ValueError("Block.length is traced, and no integer: it is a number of contacts, in which there is no derivative")
-    LENGTH.check("Block.length", x)
-    whole = np.rint(np.asarray(x, dtype=float))
-    if (whole != np.asarray(x)).any():
+    length = np.asarray(_one("Block.length", x))
+    LENGTH.check("Block.length", length)
+    if np.rint(length) != length:
         raise ValueError(f"Block.length = {x}: must be a whole number of contacts")
-    return whole.astype(np.int32)
+    return length.astype(np.int32)
 
 
 class Push(eqx.Module):
@@ -89,7 +97,7 @@ class Push(eqx.Module):
     control: Control = eqx.field(default="displacement", static=True)
 
     def __init__(self, height: Numbers | None = None, width: Numbers | None = None, control: Control = "displacement") -> None:
-        self.height, self.width, self.control = _float_or_none(height), _float_or_none(width), control
+        self.height, self.width, self.control = _one_or_none("Push.height", height), _one_or_none("Push.width", width), control
 
     def __check_init__(self) -> None:
         check_choice("Push.control", self.control, Control)
@@ -207,12 +215,13 @@ class Block(eqx.Module):
         top: Top = "free",
         machine: Numbers | None = None,
     ) -> None:
-        self.height, self.stiffness, self.poisson = as_float(height), as_float(stiffness), as_float(poisson)
+        self.height, self.stiffness = _one("Block.height", height), _one("Block.stiffness", stiffness)
+        self.poisson, self.friction = _one("Block.poisson", poisson), _one_or_none("Block.friction", friction)
         self.push, self.plane, self.contact_law, self.top = push, plane, contact_law, top
-        self.length, self.friction = _whole_or_none(length), _float_or_none(friction)
-        self.normal_stiffness, self.machine = _finite_or_none(normal_stiffness), _finite_or_none(machine)
+        self.length, self.machine = _whole_or_none(length), _finite_or_none("Block.machine", machine)
+        self.normal_stiffness = _finite_or_none("Block.normal_stiffness", normal_stiffness)
         if friction is not None and self.normal_stiffness is None:
-            self.normal_stiffness = as_float(USUAL_NORMAL_STIFFNESS if normal_stiffness is None else RIGID)
+            self.normal_stiffness = np.asarray(USUAL_NORMAL_STIFFNESS if normal_stiffness is None else RIGID)
 
     def __check_init__(self) -> None:
         for name, choices in (("plane", Plane), ("contact_law", ContactLaw), ("top", Top)):
@@ -227,8 +236,6 @@ class Block(eqx.Module):
             if value is None:
                 continue
             domain.check(f"Block.{name}", value)
-            if np.shape(value):
-                raise ValueError(f"Block.{name} has shape {np.shape(value)}: one block at a time; use jax.vmap")
         if self.machine is not None and self.push.control == "force":
             raise ValueError("Block.machine beside push.control = 'force': a machine displaces the pusher")
         if self.plane == "strain" and not isinstance(self.poisson, Tracer) and np.any(self.poisson == 0.5):
@@ -285,7 +292,10 @@ class Block(eqx.Module):
             *(lengths[name] / height for name in ("push_height", "push_width") if name in lengths), control=push_control
         )
         whole = None if length is None else np.rint(lengths["length"])
-        machine = None if machine_stiffness is None else machine_ratio(machine_stiffness, young)
+        machine = None
+        if machine_stiffness is not None:
+            of_both = ("machine_stiffness", machine_stiffness), ("young", young)
+            machine = machine_ratio(*(as_float(f"Block.from_material: {name}", x, "Pa") for name, x in of_both))
         return cls(height, stiffness, poisson, push, plane, whole, normal_stiffness, friction, contact_law, top, machine)
 
     def __repr__(self) -> str:

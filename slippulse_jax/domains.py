@@ -1,10 +1,12 @@
 """Domains of the numbers of the model, and their checks."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
 from slippulse_jax.bulk.process import check_process
+from slippulse_jax.files import shortened
 from slippulse_jax.keywords import did_you_mean
 
 
@@ -40,6 +42,56 @@ PRESTRESS = Domain(-1, 1, "must lie in (-1, 1): the prestress φ = σ_0/σ_s")
 """At 1 a contact breaks without a push; at −1 it breaks backwards."""
 THRESHOLD_SLOPE = Domain(-1, np.inf, "must exceed -1: the rise ε of the threshold from contact to contact, in σ_s")
 """At −1 contact 1 holds nothing."""
+
+
+def in_unit(name: str, x: Any, unit: str = "") -> Any:
+    """Convert a quantity of Astropy, Pint or unxt, or several, to a unit; anything else stays as it is.
+
+    A TypeError names the argument where a quantity cannot be converted: most arguments are ratios, without a unit.
+    """
+    if isinstance(x, list | tuple) and not {*map(type, x)} <= {int, float, np.float64}:
+        return [in_unit(name, one, unit) for one in x]
+    held = getattr(x, "data", x) if hasattr(x, "dims") else x  # of an xarray.DataArray
+    convert = getattr(held, "to_value", getattr(held, "m_as", None))
+    try:
+        return x if convert is None else convert(unit)
+    except Exception as error:
+        wanted = f"in {unit}" if unit else "a number without a unit; from_material and from_si take units"
+        raise TypeError(f"{_named(name, str(x))}: must be {wanted} ({error})") from None
+
+
+def _named(name: str, value: str) -> str:
+    return f"{name} = {shortened(value)}" if name else shortened(value)
+
+
+def _real(one: Any) -> float:
+    if isinstance(one, str | bytes | bool | np.bool | None):
+        raise TypeError(f"{one!r} is not a number")
+    return float(one)
+
+
+def real_numbers(name: str, x: Any, unit: str = "", cell: Callable[[Any], float] = _real) -> np.ndarray:
+    """Convert real numbers to NumPy float64, quantities to `unit`; `cell` converts what is an object or a text.
+
+    A TypeError names the argument and what it is instead: text, dates, complex numbers, booleans, records, nothing, or a
+    quantity in another unit. A ValueError says that it is masked.
+    """
+    given = in_unit(name, x, unit)
+    for one in given if isinstance(given, list | tuple) else (given,):
+        mask = getattr(one, "mask", None)
+        if isinstance(mask, np.ndarray | np.bool) and mask.any():
+            raise ValueError(f"{_named(name, repr(one))}: has masked values; fill them, or leave them out")
+    must, why = f"{_named(name, repr(x))}: must be a real number, or several", ""
+    try:
+        array = np.asarray(given)
+        if array.dtype.kind in "OU":
+            array = np.reshape([cell(one) for one in array.ravel().tolist()], array.shape)
+        # bfloat16 is of kind V, as records are
+        if array.dtype.kind in "fiu" or (array.dtype.kind == "V" and array.dtype.type is not np.void):
+            return np.asarray(array, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        must, why = (must, f" ({error})") if name else (str(error), "")
+    raise TypeError(must + why)
 
 
 def check_kind(name: str, value: object, *kinds: type) -> None:
@@ -85,7 +137,9 @@ def check_domain(name: str, value: Any, inside: Any, requirement: str) -> None:
 
     if isinstance(value, Tracer):
         return
-    value = np.asarray(value, dtype=float)
+    if in_unit(name, value) is not value and not isinstance(value, list | tuple):
+        raise TypeError(f"{name} = {shortened(str(value))}: must be a number, not a quantity")
+    value = real_numbers(name, value)
     bad = ~(np.isfinite(value) & inside(value))
     if bad.any():
         index = [int(i) for i in np.argwhere(bad)[0]]

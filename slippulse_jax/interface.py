@@ -75,7 +75,8 @@ class Interface(eqx.Module):
     repin_delay: int = eqx.field(default=0, static=True, converter=_python_int)
 
     def __init__(self, prestress: Numbers = 0.0, threshold_slope: Numbers = 0.0, repin_delay: int = 0) -> None:
-        self.prestress, self.threshold_slope = as_float(prestress), as_float(threshold_slope)
+        self.prestress = as_float("Interface.prestress", prestress)
+        self.threshold_slope = as_float("Interface.threshold_slope", threshold_slope)
         self.repin_delay = repin_delay
 
     def __repr__(self) -> str:
@@ -143,7 +144,7 @@ class Profile(eqx.Module):
     repin_delay: int = eqx.field(default=0, static=True, converter=_python_int)
 
     def __init__(self, threshold: Numbers, prestress: Numbers = 0.0, repin_delay: int = 0) -> None:
-        self.threshold, self.prestress = as_float(threshold), as_float(prestress)
+        self.threshold, self.prestress = as_float("Profile.threshold", threshold), as_float("Profile.prestress", prestress)
         self.repin_delay = repin_delay
 
     def __check_init__(self) -> None:

@@ -69,7 +69,8 @@ class Slider(eqx.Module):
     poisson: Float[Real, "..."] = quantity_field("\\nu", "1", "cra05", "Poisson's ratio")
 
     def __init__(self, height: Numbers, stiffness: Numbers, poisson: Numbers) -> None:
-        self.height, self.stiffness, self.poisson = as_float(height), as_float(stiffness), as_float(poisson)
+        given = zip(_DOMAIN, (height, stiffness, poisson), strict=True)
+        self.height, self.stiffness, self.poisson = (as_float(f"Slider.{name}", x) for name, x in given)
 
     def __check_init__(self) -> None:
         for name, domain in _DOMAIN.items():
@@ -247,16 +248,13 @@ class Slider(eqx.Module):
 def from_si(
     owner: str, *, correlation_length: Any, areal_stiffness: Any, young: Any, **lengths: Any
 ) -> tuple[dict[str, Any], Any]:
-    """Lengths over λc, and k/K = (k/λc²) λc/E, from positive numbers in SI units."""
+    """Lengths over λc, and k/K = (k/λc²) λc/E, from positive numbers in SI units, or quantities in others."""
     given = {**lengths, "correlation_length": correlation_length, "areal_stiffness": areal_stiffness, "young": young}
-    si = {name: as_float(x) for name, x in given.items()}
+    units, domains = {"areal_stiffness": "Pa/m", "young": "Pa"}, {"correlation_length": CORRELATION_LENGTH, "young": YOUNG}
+    si = {name: as_float(f"{owner}: {name}", x, units.get(name, "m")) for name, x in given.items()}
     for name, value in si.items():
-        domain = {
-            "correlation_length": CORRELATION_LENGTH,
-            "young": YOUNG,
-            "areal_stiffness": Domain(0, np.inf, "must be positive, in Pa/m"),
-        }.get(name, Domain(0, np.inf, "must be positive, in m"))
-        domain.check(f"{owner}: {name}", value)
+        positive = Domain(0, np.inf, f"must be positive, in {units.get(name, 'm')}")
+        domains.get(name, positive).check(f"{owner}: {name}", value)
     in_contacts = {name: si[name] / si["correlation_length"] for name in lengths}
     return in_contacts, si["areal_stiffness"] * si["correlation_length"] / si["young"]
 

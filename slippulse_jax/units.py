@@ -10,10 +10,10 @@ from typing import Any, NamedTuple, TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array
 from numpy.typing import ArrayLike
 
+from slippulse_jax.domains import in_unit, real_numbers
 from slippulse_jax.files import shortened
 
 Numbers = Array | ArrayLike
@@ -66,26 +66,19 @@ def quantities(cls: type) -> dict[str, Quantity]:
     return found
 
 
-def as_float(x: Any) -> Any:
+def as_float(name: str, x: Any, unit: str = "") -> Any:
     """Convert to floating point: JAX arrays and tracers in their own precision, at least single; all else to NumPy float64.
 
-    A TypeError if it holds no real numbers (text, dates, complex numbers, other objects), a ValueError if it is a masked array
-    with masked values.
+    Quantities are converted to `unit`; what holds no real numbers is refused as `real_numbers` does, by the argument's `name`.
     """
-    array = x if isinstance(x, jax.Array) else np.asanyarray(x)
-    if isinstance(array, np.ma.MaskedArray) and array.mask.any():
-        raise ValueError(f"{shortened(repr(x))}: has masked values; fill them, or leave them out")
-    if isinstance(x, jax.Array):
-        real = not jnp.issubdtype(x.dtype, jnp.complexfloating)
-    elif array.dtype.kind == "O":  # such as large whole numbers
-        real = not any(isinstance(one, str | bytes | None) for one in array.ravel())
-    else:
-        real = array.dtype.kind in "fiub" or jnp.issubdtype(array.dtype, jnp.floating)  # such as bfloat16
-    if not real:
-        raise TypeError(f"{shortened(repr(x))}: must be a real number, or several")
-    if isinstance(x, jax.Array):
-        return at_least_single(x) if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(float)
-    return np.asarray(x, dtype=np.float64)
+    given = in_unit(name, x, unit)
+    if not isinstance(given, jax.Array):
+        return real_numbers(name, given)
+    if jnp.issubdtype(given.dtype, jnp.floating):
+        return at_least_single(given)
+    if not jnp.issubdtype(given.dtype, jnp.integer):
+        raise TypeError(f"{name} = {shortened(repr(x))}: must be a real number, or several")
+    return given.astype(float)
 
 
 def at_least_single(x: Array) -> Array:

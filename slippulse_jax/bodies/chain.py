@@ -70,7 +70,7 @@ class Chain(eqx.Module):
 
     def relaxed(self, load: AnyArrayLike = 0.0) -> State:
         """Make the state with pinning points at zero, under load U (in u_s)."""
-        return State(jnp.zeros_like(self.contact), jnp.asarray(load, dtype=self.contact.dtype))
+        return State(jnp.zeros_like(self.contact), jnp.asarray(as_float("load", load), dtype=self.contact.dtype))
 
     def contact_force(self, stretch: Array) -> Array:
         """Force of each contact beyond its prestress, in K u_s."""
@@ -142,9 +142,9 @@ def chain(
     upper = slider.K_L if upper is None else upper
 
     def per_site(name: str, value: AnyArrayLike, count: int, domain: str, inside: Callable[[Any], Any]) -> Array:
+        check_domain(name, value, inside, f"must be {domain}")
         if np.shape(value) not in ((), (count,)):
             raise ValueError(f"{name} has shape {np.shape(value)}: must be () or ({count},) for {sites} sites")
-        check_domain(name, as_float(value), inside, f"must be {domain}")
         array = at_least_single(jnp.asarray(value))
         # a Python number takes the slider's precision: a weak type would compile another program
         typed = jnp.issubdtype(array.dtype, jnp.inexact) and not array.weak_type

@@ -254,9 +254,10 @@ def ends_of(right: RightEnd, sites: Any = None, machine: Any = None) -> Ends:
     """
     check_right_end(right, sites)
     if machine is not None and not isinstance(machine, Tracer):
-        known = as_float(machine)
+        known = as_float("machine", machine)
         MACHINE.check("machine", np.where(known == np.inf, 1, known))
-    return Ends(right, *(x if x is None or isinstance(x, Tracer | Array) else as_float(x) for x in (sites, machine)))
+    given = {"sites": sites, "machine": machine}
+    return Ends(right, *(x if isinstance(x, Tracer | Array | None) else as_float(name, x) for name, x in given.items()))
 
 
 def check_right_end(right: RightEnd, sites: Numbers | None) -> None:
@@ -265,5 +266,5 @@ def check_right_end(right: RightEnd, sites: Numbers | None) -> None:
     if right == "semi-infinite":
         if sites is not None:
             raise ValueError(f"sites = {sites}: a semi-infinite chain has no number of sites; choose right='free' or 'clamped'")
-    elif sites is None or not (isinstance(sites, Tracer) or np.all((as_float(sites) >= 2) & np.isfinite(as_float(sites)))):
+    elif sites is None or not (isinstance(sites, Tracer) or np.all(np.isfinite(x := as_float("sites", sites)) & (x >= 2))):
         raise ValueError(f"sites = {sites}: a chain with a {right} right end needs a number of sites, at least 2")

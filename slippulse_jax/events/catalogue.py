@@ -12,6 +12,7 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from slippulse_jax.bodies.chain import State
+from slippulse_jax.domains import real_numbers
 from slippulse_jax.files import write_atomically
 from slippulse_jax.shown import html, short
 from slippulse_jax.status import Outcome, Status
@@ -112,7 +113,7 @@ class Catalogue(NamedTuple):
         ValueError
             If the catalogue is a batch.
         """
-        events, status, asked = table(self), int(self.status), np.asarray(load, np.float64)
+        events, status, asked = table(self), int(self.status), real_numbers("load", load)
         loads, lengths = events["load"], events["length"]
         if status == Outcome.LIMIT:
             loads, lengths, known = loads[:-1], lengths[:-1], asked < loads[-1]

@@ -33,6 +33,7 @@ from slippulse_jax.front.front import first_of
 from slippulse_jax.rules import CrackLike, SelfHealing
 from slippulse_jax.shown import short
 from slippulse_jax.status import Outcome
+from slippulse_jax.units import as_float
 
 
 class Motion(NamedTuple):
@@ -156,6 +157,7 @@ def simulate_inertial(
 
     def given(name: str, value: Any, inside: Callable[[Any], Any], requirement: str) -> Array:
         """Check a number; one that is traced and lies outside its domain becomes NaN."""
+        value = as_float(name, value)
         if not isinstance(inside(value), Tracer):
             check_domain(name, value, inside, requirement)
         number = jnp.asarray(value, chain.contact.dtype)

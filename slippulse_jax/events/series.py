@@ -39,6 +39,7 @@ from slippulse_jax.events.first import Relaxed, contacts_of_chain
 from slippulse_jax.interface import AnyInterface, Interface, Profile, check_no_delay
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
+from slippulse_jax.units import as_float
 
 
 class Adiabatic(eqx.Module):
@@ -175,7 +176,7 @@ def series(
     shape = events, recorded_breaks, repin_delay, sites
     run_series = _hard_series if isinstance(body, Chain) else in_double(_hard_series)
     with jax.debug_infs(False):  # nothing ends a series without `until`, and the extent of an event that spans is inf
-        until = jnp.asarray(jnp.inf if until is None else until, jnp.asarray(body.stiffness).dtype)
+        until = jnp.asarray(jnp.inf if until is None else as_float("until", until), jnp.asarray(body.stiffness).dtype)
         most = jnp.asarray(BREAKS_PER_SITE * sites if max_breaks is None else max_breaks, jnp.int32)
         loading = Loading(protocol, ageing, until, jnp.asarray(stop_when_spanning), most)
         return run_series(shape, body, interface, loading)

@@ -36,7 +36,6 @@ from slippulse_jax.interface import Interface, check_no_delay
 from slippulse_jax.rules import CrackLike
 from slippulse_jax.slider import Fields, Slider, broadcast, of_one_type
 from slippulse_jax.status import Outcome
-from slippulse_jax.units import as_float
 
 
 class ExactFront(NamedTuple):
@@ -91,7 +90,7 @@ def exact_length(slider: Slider, interface: Interface | None = None, *, rule: Cr
     if not _is_zero(threshold_slope):
         raise ValueError("a crack-like front has a closed form on level thresholds only: interface.threshold_slope must be 0")
     requirement = "must be 0 or more and below the threshold of 1"
-    check_domain("CrackLike.friction", as_float(rule.friction), lambda x: (x >= 0) & (x < 1), requirement)
+    check_domain("CrackLike.friction", rule.friction, lambda x: (x >= 0) & (x < 1), requirement)
     return _each(_crack_length, *of_one_type(slider, rule.friction, prestress))
 
 
@@ -133,7 +132,7 @@ def exact_front_stress(slider: Slider, s: AnyArrayLike, interface: Interface | N
         If a concrete `s` is negative or not finite; if the closed form does not hold for `interface`.
     """
     check_kind("slider", slider, Slider)
-    check_domain("s", as_float(s), lambda x: x >= 0, "must be a front position, ≥ 0, in λc")
+    check_domain("s", s, lambda x: x >= 0, "must be a front position, ≥ 0, in λc")
     return _each(_stress, *of_one_type(slider, *_contacts(interface), s))
 
 
@@ -168,7 +167,7 @@ def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, interface:
     """
     check_kind("slider", slider, Slider)
     for name, value in (("s", s), ("site", site)):
-        check_domain(name, as_float(value), lambda x: (x >= 0) & (x == np.round(x)), "must be a whole number of contacts, ≥ 0")
+        check_domain(name, value, lambda x: (x >= 0) & (x == np.round(x)), "must be a whole number of contacts, ≥ 0")
     return Fields(*_each(_fields, *of_one_type(slider, *_contacts(interface), s, site)))
 
 

@@ -12,6 +12,7 @@ from slippulse_jax.files import plain
 from slippulse_jax.inference.knowledge import Gain, Knowledge, LengthKind, expected_gain, greedy, moments
 from slippulse_jax.inference.model.fronts import front_for
 from slippulse_jax.inference.model.parameters import ParameterSet, parameter_set
+from slippulse_jax.inference.table.columns import TEXTS
 from slippulse_jax.inference.table.measurements import Measurements, numbers
 from slippulse_jax.shown import html
 
@@ -315,7 +316,9 @@ def _candidates(given: dict[str, Any]) -> tuple[np.recarray, Measurements]:
     check_choice("kind", given["kind"], LengthKind)
     if (given["correlation_length"] is None) != (given["young"] is None):
         raise ValueError("correlation_length and young: give both, or neither")
-    columns = {name: numbers(x) for name, x in given.items() if x is not None and not isinstance(x, str)}
+    units = {} if given["young"] is None else {"height": "m", "sigma": "m", "correlation_length": "m", "young": "Pa"}
+    every = {name: x for name, x in given.items() if x is not None and name not in TEXTS}
+    columns = {name: numbers(x, f"design: {name}", units.get(name, "")) for name, x in every.items()}
     try:
         columns = dict(zip(columns, np.broadcast_arrays(*columns.values()), strict=True))
     except ValueError:

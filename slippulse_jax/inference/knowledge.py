@@ -88,8 +88,8 @@ class Knowledge:
 
     def __post_init__(self) -> None:
         check_event(self.event)
-        theta = numbers(self.log_stiffness)
-        weight = np.ones(theta.shape) if self.weight is None else numbers(self.weight)
+        theta = numbers(self.log_stiffness, "Knowledge.log_stiffness")
+        weight = np.ones(theta.shape) if self.weight is None else numbers(self.weight, "Knowledge.weight")
         root = np.zeros(theta.shape, int) if self.root is None else np.asarray(self.root)
         if theta.ndim != 1 or weight.shape != theta.shape or root.shape != theta.shape:
             raise ValueError(
@@ -127,7 +127,8 @@ class Knowledge:
         nodes : int
             Samples of the grid.
         """
-        middle, sd, share = np.broadcast_arrays(*map(numbers, (stiffness, log_sd, share)))
+        middle = numbers(stiffness, "stiffness", "Pa/m" if in_si else "")
+        middle, sd, share = np.broadcast_arrays(middle, numbers(log_sd, "log_sd"), numbers(share, "share"))
         check_domain("stiffness", middle, lambda x: x > 0, "must be positive")
         check_domain("log_sd", sd, lambda x: x > 0, "must be positive: the standard deviation of ln(stiffness)")
         check_domain("share", share, lambda x: x > 0, "must be positive")

@@ -27,7 +27,7 @@ from jaxtyping import ArrayLike, Float
 from scipy.linalg import block_diag
 from scipy.special import chdtrc, ndtr
 
-from slippulse_jax.domains import check_choice, check_domain, check_whole
+from slippulse_jax.domains import check_choice, check_domain, check_whole, real_numbers
 from slippulse_jax.files import plain
 from slippulse_jax.inference.heterogeneous import Linearised, ProfileKind, ProfileProblem, followed, profile_problem
 from slippulse_jax.inference.model.check import check_used
@@ -109,7 +109,7 @@ class RecoveredProfile:
 
     def at(self, x: ArrayLike) -> np.ndarray:
         """Evaluate the profile at x in λc, constant beyond the knots."""
-        return np.interp(np.asarray(x, dtype=np.float64), self.position, self.profile)
+        return np.interp(real_numbers("x", x), self.position, self.profile)
 
     @property
     def smoothness(self) -> Any:
@@ -252,6 +252,7 @@ def recover_profile(
     for name, value in (("amplitude", amplitude), ("length_scale", length_scale)):
         check_domain(name, 1.0 if value is None else value, lambda x: x > 0, "must be positive")
     check_whole("max_steps", max_steps, 1)
+    stiffness = real_numbers("stiffness", stiffness)
     if np.shape(stiffness) not in ((), (1,), (len(m),)):
         wanted = f"one k/K for all, or one for each of {len(m)} measurements"
         raise ValueError(f"stiffness has shape {np.shape(stiffness)}: {wanted}")

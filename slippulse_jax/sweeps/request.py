@@ -22,6 +22,7 @@ from slippulse_jax.domains import (
     STIFFNESS,
     THRESHOLD_SLOPE,
     check_domain,
+    real_numbers,
 )
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS
 from slippulse_jax.interface import Interface, check_bulk
@@ -184,7 +185,7 @@ def make_axes(
 
 
 def _values(name: str, given: Any) -> np.ndarray:
-    values = np.array(given, dtype=np.float64)  # a copy: the caller's array may change while the sweep runs
+    values = np.array(real_numbers(name, given))  # a copy: the caller's array may change while the sweep runs
     if values.ndim > 1 or values.size == 0:
         raise ValueError(f"{name} has shape {values.shape}: must be a number or a one-dimensional array with values")
     if name == "repin_delay":

@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike
 
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.derivatives import root_between
-from slippulse_jax.domains import POISSON, PRESTRESS, Domain
+from slippulse_jax.domains import POISSON, PRESTRESS, Domain, real_numbers
 from slippulse_jax.double_series import exponential_terms, overlap
 from slippulse_jax.slider import Slider, each_slider
+from slippulse_jax.units import as_float
 
 _DOMAIN = {
     "b": Domain(0, np.inf, "must be positive: areal stiffness times height over shear modulus"),
@@ -47,21 +48,30 @@ def runaway_prestress(slider: Slider) -> Float[Array, "..."]:
     return each_slider(one, slider)
 
 
+UNITS = {"areal_stiffness": "Pa/m", "height": "m", "young": "Pa"}
+
+
+def _numbers(**given: Any) -> list[Array]:
+    """Arguments as JAX's numbers, quantities in SI."""
+    return [jnp.asarray(as_float(name, x, UNITS.get(name, "")), dtype=float) for name, x in given.items()]
+
+
 def b_from_areal_stiffness(areal_stiffness: Any, height: Any, *, poisson: Any, young: Any) -> Float[Array, "..."]:
     """The macroscopic number b = (k/λc²) H/G with G = E/2(1+ν): areal stiffness in Pa/m, height in m, Young's modulus in Pa."""
-    areal, H, nu, E = (jnp.asarray(x, dtype=float) for x in (areal_stiffness, height, poisson, young))
+    areal, H, nu, E = _numbers(areal_stiffness=areal_stiffness, height=height, poisson=poisson, young=young)
     return areal * H * 2 * (1 + nu) / E
 
 
 def areal_stiffness_from_b(b: Any, height: Any, *, poisson: Any, young: Any) -> Float[Array, "..."]:
     """k/λc² = b G/H in Pa/m, the inverse of `b_from_areal_stiffness`."""
-    b, H, nu, E = (jnp.asarray(x, dtype=float) for x in (b, height, poisson, young))
+    b, H, nu, E = _numbers(b=b, height=height, poisson=poisson, young=young)
     return b * E / (2 * (1 + nu) * H)
 
 
 def length_ceiling(poisson: Any) -> Float[Array, "..."]:
     """Largest Λ/H of the macroscopic law, √(2(1+ν)) ln 2, approached as b → ∞."""
-    return jnp.sqrt(2 * (1 + jnp.asarray(poisson, dtype=float))) * np.log(2)
+    (nu,) = _numbers(poisson=poisson)
+    return jnp.sqrt(2 * (1 + nu)) * np.log(2)
 
 
 def macroscopic_length(b: Any, poisson: Any, *, prestress: Any = 0.0) -> Float[Array, "..."]:
@@ -91,7 +101,7 @@ def macroscopic_length(b: Any, poisson: Any, *, prestress: Any = 0.0) -> Float[A
     """
     for (name, domain), value in zip(_DOMAIN.items(), (b, poisson, prestress), strict=True):
         domain.check(name, value)
-    b, nu, phi = jnp.broadcast_arrays(*(jnp.asarray(x, dtype=float) for x in (b, poisson, prestress)))
+    b, nu, phi = jnp.broadcast_arrays(*_numbers(b=b, poisson=poisson, prestress=prestress))
     return _macroscopic(b, nu, phi)
 
 
@@ -146,7 +156,7 @@ def macroscopic_crack_length(b: Any, poisson: Any, friction: Any) -> Float[Array
 
         (σ_k/2β) z² + V (1 + z) = 1/β;    without friction  z = √(1 + b) − 1,  which has no ceiling.
     """
-    b, nu, friction = jnp.broadcast_arrays(*(jnp.asarray(x, dtype=float) for x in (b, poisson, friction)))
+    b, nu, friction = jnp.broadcast_arrays(*_numbers(b=b, poisson=poisson, friction=friction))
     beta = 1 / (1 + b)
     root, step = jnp.sqrt(beta), -jnp.expm1(-jnp.log1p(b) / 2)  # √β and 1 − √β
     V = (1 + friction * step / root) / root
@@ -165,7 +175,7 @@ def macroscopic_correction(b: Any, poisson: Any) -> Float[Array, "..."]:
         g δz = (κ_2/κ) [1 + (1−β)g/(1+β) + β(1−β)/(1+β)² ∫_0^z (1 − e^{−2y}) g dy]
                − λcκ (1−β)/2(1+β) [1 + β/(1+β) (z − (1 − e^{−2z})/2)].
     """
-    b, nu = jnp.broadcast_arrays(*(jnp.asarray(x, dtype=float) for x in (b, poisson)))
+    b, nu = jnp.broadcast_arrays(*_numbers(b=b, poisson=poisson))
     beta, released = 1 / (1 + b), b / (1 + b)
     unit = jnp.sqrt(2 * (1 + nu) / released)  # 1/(κ_2 H)
     z = macroscopic_length(b, nu) / unit
@@ -196,7 +206,7 @@ def macroscopic_edge_stress(b: Any) -> Float[Array, "..."]:
 
         E = 2λ M_1 = 2 Σ_n λ^{n+1} (2n + 2)/(2n + 1) / Π_{j≤n} (2j + 2 − λ),     λ = b/2(1 + b).
     """
-    b = jnp.asarray(b, dtype=float)
+    (b,) = _numbers(b=b)
     share, total = b / (2 * (1 + b)), jnp.zeros_like(b)
     for n in range(EDGE_TERMS - 1, -1, -1):  # by Horner's rule
         total = share / (2 * n + 2 - share) * ((2 * n + 2) / (2 * n + 1) + total)
@@ -224,7 +234,7 @@ def block_decay_length(b: ArrayLike, poisson: ArrayLike) -> Float[np.ndarray, ".
         held = b * (4 - (1 + nu) ** 2 * zeta**2 - (3 - nu) * (1 + nu) * sine**2)
         return held - 4 * (1 + nu) * zeta * (sine * np.cos(zeta) + zeta)
 
-    found = find_root(excess, (0.0, np.pi), args=(np.asarray(b, float), np.asarray(poisson, float)))
+    found = find_root(excess, (0.0, np.pi), args=(real_numbers("b", b), real_numbers("poisson", poisson)))
     return 1 / np.where(found.status == NO_CHANGE, np.pi, found.x)
 
 

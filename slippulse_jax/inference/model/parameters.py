@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slippulse_jax.bulk.chunks import distinct_rows
+from slippulse_jax.domains import in_unit, real_numbers
 from slippulse_jax.inference.model.fronts import Front, front_of
 from slippulse_jax.inference.model.inputs import COMMON, Inputs
 from slippulse_jax.inference.table.measurements import Measurements
@@ -41,10 +42,12 @@ class Linear:
         return Linear(self.base[rows], self.slope[rows])
 
 
-def _is_number(x: object) -> bool:
-    if isinstance(x, bool) or not isinstance(x, int | float | np.number | np.ndarray) or np.ndim(x):
+def _is_number(x: Any) -> bool:
+    try:
+        plain = in_unit("", x) is x and not np.ndim(real_numbers("", x))
+    except (TypeError, ValueError):
         return False
-    return not isinstance(x, int) or abs(x) < 2**63  # NumPy takes no larger ones
+    return plain and (not isinstance(x, int) or abs(x) < 2**63)  # NumPy takes no larger ones
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,7 +110,8 @@ class Parameter:
             each = given if key != "value" and isinstance(given, Sequence | np.ndarray) else (given,)
             count = 1 if key == "value" else 2
             if given is not None and not (len(each) == count and all(map(_is_number, each))):
-                raise ValueError(f"parameter {self.name}: {key} = {given!r}: must be {wanted}")
+                unit = f", in {kind.unit[1]}" if (kind := PARAMETERS[self.name]).unit[1] else ""
+                raise ValueError(f"parameter {self.name}: {key} = {given!r}: must be {wanted}{unit}")
         if self.value is not None and (self.prior, self.bounds, self.each) != (None, None, None):
             raise ValueError(f"parameter {self.name}: held by `value`, so that a prior, bounds and `each` have no effect")
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
+from slippulse_jax.domains import real_numbers
 from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.model.observables import predicted as of_observable
 from slippulse_jax.inference.model.parameters import Linear
@@ -111,7 +112,7 @@ def curve(
     q, at = result.parameters, getattr(result.measurements, along)
     if at is None:
         raise ValueError(f"along = {along!r}: the measurements state no {along}")
-    rows, heights = np.atleast_1d(rows), np.atleast_1d(heights)
+    rows, heights = np.atleast_1d(rows), np.atleast_1d(real_numbers("heights", heights))
 
     def mean(one: Linear) -> Linear:
         return Linear(np.full(len(heights), one.base[rows].mean()), np.tile(one.slope[rows].mean(axis=0), (len(heights), 1)))
@@ -168,7 +169,8 @@ def field(result: "FitResult", row: int, observable: str, position: ArrayLike) -
     ValueError
         If no gauge read it.
     """
-    q, contact, x = result.parameters, result.measurements.correlation_length, np.atleast_1d(position)
+    q, contact = result.parameters, result.measurements.correlation_length
+    x = np.atleast_1d(real_numbers("position", position, "m"))
     read = next((data for data in result.problem.observed if data.observable == observable), None)
     if read is None or contact is None or row not in read.measurement:
         raise ValueError(f"no gauge read {observable} in measurement {row}")

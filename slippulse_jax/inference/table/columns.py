@@ -87,6 +87,12 @@ class Column(NamedTuple):
         return next(iter(self.names(in_si)), self.quantity)
 
     @property
+    def si(self) -> str:
+        """Its unit in SI; forces are over the width of the block."""
+        units = {"mm": "m", "um": "m", "GPa": "Pa", "MPa": "Pa", "N_per_mm": "N/m", "N": "N/m", "N_per_m": "Pa"}
+        return units.get(self.unit, self.unit)
+
+    @property
     def sentence(self) -> str:
         """What it holds, takes and needs, for documentation and help."""
         text = self.says or f"Standard error of `{self.value}`{'; 0: exactly known' * bool(self.domain.holds(0))}"
@@ -210,7 +216,7 @@ _ROWS_OF_GAUGES = (
 
 COLUMNS = {column.quantity: column for column in _ROWS}
 OF_GAUGES = {column.quantity: column for column in _ROWS_OF_GAUGES}
-_EVERY = {**OF_GAUGES, **COLUMNS}
+EVERY = {**OF_GAUGES, **COLUMNS}
 TEXTS = tuple(name for name, column in COLUMNS.items() if column.choices is not None)
 """Columns of text."""
 NUMERIC = tuple(name for name in COLUMNS if name not in TEXTS)
@@ -223,11 +229,10 @@ GAUGE_COLUMNS = ("row", *(name for name in OF_GAUGES if name != "label"))
 
 def documented(names: Iterable[str]) -> str:
     """Describe the columns among fields as parameters in a docstring."""
-    in_si = {"mm": "m", "um": "m", "GPa": "Pa", "MPa": "Pa", "N_per_mm": "N/m", "N_per_m": "Pa; without `young` in E"}
     lines = []
-    for column in (_EVERY[name] for name in names if name in _EVERY):
+    for column in (EVERY[name] for name in names if name in EVERY):
         kind = "sequence of str" if column.choices is not None else "array_like"
-        unit = "λc" if column.plain == "λc" else in_si.get(column.unit)
+        unit = "λc" if column.plain == "λc" else column.si + "; without `young` in E" * (column.plain == "E")
         lines += [f"{column.quantity} : {kind}" + ", optional" * (not column.required or column.plain is None)]
         lines += wrap(column.sentence + f" In {unit}." * bool(unit), 120, initial_indent=INDENT, subsequent_indent=INDENT)
     return f"\n{INDENT}".join(lines)
@@ -248,7 +253,7 @@ _NAMES_OF_GAUGES: Named = {
     if name.translate(_MICRO) == one.name(True)
 }
 _IN_SI = {**_NAMES_OF_GAUGES, **NAMES[True]}
-KNOWN = {*_IN_SI, *_EVERY}
+KNOWN = {*_IN_SI, *EVERY}
 """All names, also those of readings of gauges and those that stand without the unit that they need."""
 
 _LENGTHS = {"specimen": "A", "height": "25", "correlation_length": "100", "poisson": "0.3", "young": "3", "length": "14.03"}
@@ -325,7 +330,7 @@ def with_units(header: Sequence[str], row: Sequence[str], where: str) -> list[st
         return None
     names = []
     for own, unit in zip(header, units, strict=False):
-        column, size = _IN_SI.get(own, (_EVERY.get(own), None))
+        column, size = _IN_SI.get(own, (EVERY.get(own), None))
         stated = column is not None and own != column.quantity
         silent = unit in ("", "-", "–", "1") or (unit not in _SIZES if column is None else column.choices is not None)
         if not silent and (unit not in _SIZES or (stated and _SIZES[unit] != size)):
@@ -399,12 +404,12 @@ def _meant(own: str) -> tuple[list[Column], str, bool]:
 def check_needs(given: Collection[str], columns: Mapping[str, str], source: str) -> None:
     """Refuse quantities without one they need, by names in the file."""
     for name in given:
-        column = _EVERY[name]
+        column = EVERY[name]
         for needed in (column.value, *column.needs.split()):
-            of_si_only = _EVERY[needed].plain is None and column.plain is not None
+            of_si_only = EVERY[needed].plain is None and column.plain is not None
             if needed not in given and not (of_si_only and "correlation_length" not in given):
                 own = columns.get(name, name)
-                missed = needed if own == name else _EVERY[needed].name(in_si=True)
+                missed = needed if own == name else EVERY[needed].name(in_si=True)
                 raise MeasurementError(f"{source}: {own} is given without {missed}")
 
 
@@ -438,7 +443,7 @@ def check_rows(
 def _faults(values: Mapping[str, Any]) -> Iterator[Fault]:
     """Rules and the rows that break them, that of λc first."""
     for name, x in sorted(values.items(), key=lambda item: item[0] != "correlation_length"):
-        column = _EVERY[name]
+        column = EVERY[name]
         if column.choices is None:
             blank = np.isnan(x) & column.may_be_blank
             yield name, blank & ~np.isnan(values.get(column.value, x)), "missing: the value beside it has no standard error"
@@ -478,12 +483,12 @@ def _faults_of_push(values: Mapping[str, Any]) -> Iterator[Fault]:
 
 def _other_units(name: str, i: int, values: Mapping[str, Any], columns: Mapping[str, str]) -> str:
     """Ask for the likely unit of a number outside its domain."""
-    asked = [(name, values[name][i], _EVERY[name].likely)]
+    asked = [(name, values[name][i], EVERY[name].likely)]
     if name == "height" and "correlation_length" in columns:  # one of two is in another unit
         contact = values["correlation_length"][i]
         height = values["height"][i] * contact
         low, high = Domain(max(contact, 1e-3), np.inf, ""), Domain(1e-7, height, "")
         asked = [("height", height, low), ("correlation_length", contact, high)]
-    named = [(columns.get(one, one), _EVERY[one].likely_unit(x, columns.get(one, one), likely)) for one, x, likely in asked]
+    named = [(columns.get(one, one), EVERY[one].likely_unit(x, columns.get(one, one), likely)) for one, x, likely in asked]
     guesses = [f"{own} in {unit}" for own, unit in named if unit]
     return f": is {', or '.join(guesses)}?" * bool(guesses)

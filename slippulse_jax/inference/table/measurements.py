@@ -4,6 +4,7 @@
 """
 
 import dataclasses
+import math
 import os
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -12,10 +13,11 @@ from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slippulse_jax.domains import CORRELATION_LENGTH
+from slippulse_jax.domains import CORRELATION_LENGTH, real_numbers
 from slippulse_jax.inference.table import tables
 from slippulse_jax.inference.table.columns import (
     COLUMNS,
+    EVERY,
     GAUGE_COLUMNS,
     IN_LC,
     NUMBER,
@@ -53,18 +55,20 @@ def table(cls: type[T]) -> type[T]:
     return dataclasses.dataclass(frozen=True, eq=False)(cls)
 
 
-def numbers(x: ArrayLike) -> np.ndarray:
-    """Convert to an array of float64, of at least one axis."""
-    given = np.asarray(x)
-    for one in given.ravel().tolist() if given.dtype.kind in "OU" else ():
-        if isinstance(one, str) and not NUMBER.fullmatch(one):
-            raise TypeError(f"{one!r} is not a number")
-    return np.atleast_1d(given.astype(np.float64))
+def numbers(x: ArrayLike, name: str = "", unit: str = "") -> np.ndarray:
+    """Convert to a column: quantities to a unit, blanks to NaN."""
+    return np.atleast_1d(real_numbers(name, x, unit, _cell))
 
 
-def numbers_or_none(x: ArrayLike | None) -> np.ndarray | None:
+def _cell(one: Any) -> float:
+    if isinstance(one, bool | np.bool | bytes) or (isinstance(one, str) and not NUMBER.fullmatch(one)):
+        raise TypeError(f"{one!r} is not a number")
+    return math.nan if one is None else float(one)
+
+
+def numbers_or_none(x: ArrayLike | None, name: str = "", unit: str = "") -> np.ndarray | None:
     """Convert numbers, if they are given."""
-    return None if x is None else numbers(x)
+    return None if x is None else numbers(x, name, unit)
 
 
 def entries(x: Sequence[T]) -> tuple[T, ...]:
@@ -80,8 +84,9 @@ def convert(one: Any) -> list[str]:
     given, n, first = [], 1, ""
     for field in (field for field in dataclasses.fields(one) if "converter" in field.metadata):
         where, converter = f"{one.source}, column {field.name}", field.metadata["converter"]
+        unit = "" if field.name not in EVERY or field.name in IN_LC else EVERY[field.name].si
         try:
-            value = converter(getattr(one, field.name))
+            value = converter(getattr(one, field.name), *(() if converter is entries else ("", unit)))
         except (TypeError, ValueError) as error:
             needed = "a sequence" if converter is entries else "numbers"
             raise MeasurementError(f"{where}: must be {needed} ({error})") from None
@@ -242,10 +247,12 @@ class Measurements:
         **columns
             As of `Measurements`, but with heights and lengths, and their standard errors, in m.
         """
-        unit = np.asarray(correlation_length, dtype=np.float64)
-        CORRELATION_LENGTH.check("Measurements.from_si: correlation_length", unit)
+        owner = "Measurements.from_si"
+        unit = real_numbers(f"{owner}: correlation_length", correlation_length, "m")
+        CORRELATION_LENGTH.check(f"{owner}: correlation_length", unit)
         in_lc: dict[str, Any] = {
-            name: np.asarray(x) / unit if name in IN_LC and x is not None else x for name, x in columns.items()
+            name: numbers(x, f"{owner}: {name}", "m") / unit if name in IN_LC and x is not None else x
+            for name, x in columns.items()
         }
         return cls(correlation_length=unit, **in_lc)
 
