@@ -5,6 +5,7 @@ differentiated.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NoReturn
 
 import jax
@@ -46,7 +47,7 @@ def with_gradient(f: Function) -> Function:
     return value_and_gradient
 
 
-def by_forward_mode(f: Function, first: Callable[[Function], Function] = with_jacobian) -> Function:
+def by_forward_mode(f: Function, first: Callable[[Function], Function] = with_jacobian, held: Any = None) -> Function:
     """Give `f` derivatives of every order in every mode, all computed forward.
 
     ``lax.while_loop`` has a forward derivative but no reverse one. With n parameters, one pass of the loop that carries
@@ -55,16 +56,19 @@ def by_forward_mode(f: Function, first: Callable[[Function], Function] = with_ja
 
     `f` maps arrays, of n numbers in all, to an array. Under ``vmap`` an argument without the mapped axis stays without it: what
     depends on it alone is computed once. `first` computes the first derivatives: `with_gradient` where `f` has a reverse mode.
+    `held` is a tree of arrays, which `f` takes first, and in which it is not differentiated.
     """
-    differentiable = jax.custom_jvp(f)
+    of_held = f if held is not None else lambda _, *arguments: f(*arguments)
+    differentiable = jax.custom_jvp(of_held)
 
     @differentiable.defjvp
     @in_full
     def _rule(primals, tangents):  # pyright: ignore[reportUnusedFunction]
-        both = by_forward_mode(first(f))(*primals)
-        return both[..., 0], both[..., 1:] @ jnp.concatenate([jnp.ravel(x) for x in tangents])
+        held, *given = primals
+        both = by_forward_mode(lambda held, *x: first(partial(of_held, held))(*x), held=held or ())(*given)
+        return both[..., 0], both[..., 1:] @ jnp.concatenate([jnp.ravel(x) for x in tangents[1:]])
 
-    return differentiable
+    return partial(differentiable, held)
 
 
 def without_derivative(f: Callable[..., Any], why: str, static_argnums: tuple[int, ...] = ()) -> Callable[..., Any]:

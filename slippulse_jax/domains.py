@@ -44,12 +44,18 @@ THRESHOLD_SLOPE = Domain(-1, np.inf, "must exceed -1: the rise ε of the thresho
 """At −1 contact 1 holds nothing."""
 
 
+PLAIN = float, int, np.float64
+"""Types of a number that needs no look."""
+
+
 def in_unit(name: str, x: Any, unit: str = "") -> Any:
     """Convert a quantity of Astropy, Pint or unxt, or several, to a unit; anything else stays as it is.
 
     A TypeError names the argument where a quantity cannot be converted: most arguments are ratios, without a unit.
     """
-    if isinstance(x, list | tuple) and not {*map(type, x)} <= {int, float, np.float64}:
+    if type(x) in (*PLAIN, np.ndarray) or (isinstance(x, list | tuple) and {*map(type, x)} <= {*PLAIN}):
+        return x
+    if isinstance(x, list | tuple):
         return [in_unit(name, one, unit) for one in x]
     held = getattr(x, "data", x) if hasattr(x, "dims") else x  # of an xarray.DataArray
     convert = getattr(held, "to_value", getattr(held, "m_as", None))
@@ -76,12 +82,13 @@ def real_numbers(name: str, x: Any, unit: str = "", cell: Callable[[Any], float]
     A TypeError names the argument and what it is instead: text, dates, complex numbers, booleans, records, nothing, or a
     quantity in another unit. A ValueError says that it is masked.
     """
-    given = in_unit(name, x, unit)
+    given, why = in_unit(name, x, unit), ""
+    if type(given) in PLAIN or (type(given) is np.ndarray and given.dtype.kind == "f"):
+        return np.asarray(given, dtype=np.float64)
     for one in given if isinstance(given, list | tuple) else (given,):
         mask = getattr(one, "mask", None)
         if isinstance(mask, np.ndarray | np.bool) and mask.any():
             raise ValueError(f"{_named(name, repr(one))}: has masked values; fill them, or leave them out")
-    must, why = f"{_named(name, repr(x))}: must be a real number, or several", ""
     try:
         array = np.asarray(given)
         if array.dtype.kind in "OU":
@@ -90,8 +97,10 @@ def real_numbers(name: str, x: Any, unit: str = "", cell: Callable[[Any], float]
         if array.dtype.kind in "fiu" or (array.dtype.kind == "V" and array.dtype.type is not np.void):
             return np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        must, why = (must, f" ({error})") if name else (str(error), "")
-    raise TypeError(must + why)
+        if not name:
+            raise TypeError(str(error)) from None
+        why = f" ({error})"
+    raise TypeError(f"{_named(name, repr(x))}: must be a real number, or several{why}")
 
 
 def check_kind(name: str, value: object, *kinds: type) -> None:

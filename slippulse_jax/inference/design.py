@@ -15,6 +15,7 @@ from slippulse_jax.inference.model.parameters import ParameterSet, parameter_set
 from slippulse_jax.inference.table.columns import TEXTS
 from slippulse_jax.inference.table.measurements import Measurements, numbers
 from slippulse_jax.shown import html
+from slippulse_jax.status import NotConverged
 
 BIT = np.log(2)
 MOST_EXPERIMENTS = 12
@@ -305,7 +306,11 @@ def design(
 
 
 def _lengths(q: ParameterSet, log_stiffness: np.ndarray) -> np.ndarray:
-    return q.front.lengths(q.inputs.at(log_stiffness[:, None]).ravel()).reshape(len(log_stiffness), -1)
+    found = q.front.lengths(q.inputs.at(log_stiffness[:, None]).ravel()).reshape(len(log_stiffness), -1)
+    if np.isnan(found).any():
+        at, candidate = np.argwhere(np.isnan(found))[0]
+        raise NotConverged(f"no length of candidate {candidate} at ln k = {log_stiffness[at]:.6g}")
+    return found
 
 
 def _candidates(given: dict[str, Any]) -> tuple[np.recarray, Measurements]:

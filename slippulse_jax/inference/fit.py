@@ -54,6 +54,7 @@ from slippulse_jax.inference.search.minima import (
     search,
 )
 from slippulse_jax.inference.table.measurements import Measurements, MeasurementWarning, measurements_of
+from slippulse_jax.status import NotConverged
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -315,6 +316,10 @@ def _explore(problem: Problem, method: Method, max_steps: int, seed: int) -> Fou
     options: dict[str, Any] = {"method": method, "max_steps": max_steps, "seed": seed}
     asked = [j for j, one in enumerate(problem.parameters.free) if not one.nuisance]
     found = search(problem, **options)
+    if not np.isfinite(found.deviance) or not problem.predict(found.theta).any():
+        q, share = problem.parameters, np.linspace(0, 1, SOFTER)[:, None]
+        if np.isnan(problem.predictions(q.low + share * (q.high - q.low))).any():
+            raise NotConverged("no event of the range searched that could be followed is like these: give other bounds")
     if not np.isfinite(found.deviance):
         raise ValueError("the front never stops anywhere in the range searched: these measurements cannot come from this model")
     roots, best, deviance = found.minima, found.theta, found.deviance

@@ -1,10 +1,10 @@
 """The function that a fit minimises, for optimisers of one's own."""
 
 import dataclasses
-import functools
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import jax
@@ -16,12 +16,15 @@ from slippulse_jax.domains import check_choice
 from slippulse_jax.inference.choices import Body, Loss, MeasuredEvent
 from slippulse_jax.inference.model.check import checked
 from slippulse_jax.inference.model.fronts import Front
+from slippulse_jax.inference.model.inputs import COMMON
+from slippulse_jax.inference.model.observables import OF_GAUGES
 from slippulse_jax.inference.model.parameters import PARAMETERS, Parameter, wanted_parameters, with_errors_of_measuring
 from slippulse_jax.inference.search.clouds import gathered, refuse_model_error
-from slippulse_jax.inference.search.likelihood import Problem, make_problem
+from slippulse_jax.inference.search.likelihood import How, Problem, density, make_problem
 from slippulse_jax.inference.search.minima import lowest_look
 from slippulse_jax.inference.table.measurements import Measurements, measurements_of
 from slippulse_jax.keywords import did_you_mean
+from slippulse_jax.units import as_float
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,23 +43,36 @@ class Objective:
 
     def __call__(self, theta: Mapping[str, Any]) -> Float[Array, ""]:
         """Evaluate at θ by name; a perfect match costs nothing."""
+        found = self._numbers(theta)
+        _warn_of_single_precision()
+        return self._compiled(jnp.stack(found))
+
+    def _numbers(self, theta: Mapping[str, Any]) -> list[Any]:
+        """θ in order, each one number."""
         if unknown := [name for name in theta if name not in self.names]:
             raise ValueError(
                 f"theta: {unknown[0]!r} is not fitted{did_you_mean(unknown[0], self.names)}: {', '.join(self.names)}"
             )
         if missing := [name for name in self.names if name not in theta]:
             raise ValueError(f"theta: no {missing[0]!r}: needs {', '.join(self.names)}")
-        return self._compiled(jnp.stack([jnp.asarray(theta[name]) for name in self.names]))
+        found = {name: as_float(f"theta: {name}", theta[name]) for name in self.names}
+        for name, shape in ((name, np.shape(x)) for name, x in found.items()):
+            if shape:
+                raise ValueError(f"theta: {name!r} has shape {shape}: give one number, such as x[0]; jax.vmap for many")
+        return list(found.values())
 
-    @functools.cached_property
+    @cached_property
     def _compiled(self) -> Callable[[Array], Array]:
-        low, high = np.array([PARAMETERS[one.name].limits for one in self.problem.parameters.free]).T
+        how, numbers = self.problem.parts
+        q, front = self.problem.parameters, how[0]
+        low, high = np.array([PARAMETERS[one.name].limits for one in q.free]).T
+        box = low, high, (q.low + q.high) / 2
+        # a model with tables, or of one's own, ends with its objective; of others all objectives share their programs
+        own = front.interpolated or front.event == "own"
+        return partial(jax.jit(partial(_within, how)) if own else partial(_together, how), numbers, box)
 
-        def within(theta: Array) -> Array:
-            inside = ((theta >= low) & (theta <= high)).all()
-            return jnp.where(inside, self.problem.traced(theta), jnp.inf)
-
-        return jax.jit(within)
+    def __getstate__(self) -> dict[str, Any]:
+        return {"problem": self.problem}
 
     @property
     def names(self) -> list[str]:
@@ -84,7 +100,31 @@ class Objective:
 
     def values(self, theta: Mapping[str, Any]) -> dict[str, float]:
         """Values of the parameters asked for, in their units."""
-        return self.problem.parameters.values(np.array([float(theta[name]) for name in self.names]))
+        return self.problem.parameters.values(np.array(self._numbers(theta), dtype=float))
+
+
+def _within(how: How, numbers: Any, box: tuple[Any, Any, Any], theta: Array) -> Array:
+    """The density; inf outside the domain, and NaN for NaN.
+
+    What calls the host is called with θ inside.
+    """
+    low, high, middle = box
+    inside, every = (theta >= low) & (theta <= high) & jnp.isfinite(theta), {**COMMON, **how[0].inputs, **OF_GAUGES}
+    for inputs in (data.inputs for data in numbers[-1]):
+        for name in inputs.names:
+            inside &= ((x := inputs.get(name)(theta)) >= every[name].low).all() & (x <= every[name].high).all()
+    inside = inside.all()
+    value = density(how, numbers, jnp.where(inside, theta, middle))
+    return jnp.where(inside, value, jnp.where(jnp.isnan(theta).any(), jnp.nan, jnp.inf))
+
+
+_together = jax.jit(_within, static_argnums=0)
+
+
+def _warn_of_single_precision() -> None:
+    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        what = "objective in single precision: flat to rounding near its minimum. Use jax.enable_x64(True)"
+        warnings.warn(what, RuntimeWarning, stacklevel=3)
 
 
 def objective(
@@ -126,9 +166,7 @@ def objective(
         raise ValueError(
             f"{m.source}: lengths without σ have no likelihood: give their standard errors; fit takes σ from the scatter"
         )
-    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
-        what = "objective in single precision: flat to rounding near its minimum. Use jax.enable_x64(True)"
-        warnings.warn(what, RuntimeWarning, stacklevel=2)
+    _warn_of_single_precision()
     check_choice("loss", loss, Loss)
     wanted = with_errors_of_measuring(m, wanted_parameters(free, bounds, fixed), size_known=True)
     problem = make_problem(m, checked(m, wanted, event, body), loss, m.stated_sigma)

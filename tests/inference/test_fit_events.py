@@ -17,11 +17,13 @@ from slopes import slopes_of
 import slippulse_jax as sp
 from slippulse_jax import plot
 from slippulse_jax.cli.fit import command
+from slippulse_jax.inference.model import fronts
 from slippulse_jax.inference.model.fronts import WholeEvent, front_for
 from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.result.record import as_request, from_request
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.plot.labels import AGAIN
+from slippulse_jax.status import NotConverged
 
 HEIGHT = np.array([15.0, 20.0, 30.0, 40.0, 50.0, 60.0])
 
@@ -58,6 +60,75 @@ def test_fits_of_whole_events_recover_the_stiffness(b):
     for draw in (plot.fit_lengths, plot.length_versus_stiffness, partial(plot.fits.profile, name="stiffness")):
         assert AGAIN in legend(draw(front, ax=Figure().subplots()))
         assert AGAIN not in legend(draw(whole, ax=Figure().subplots()))
+
+
+TALL = {
+    "lengths": (
+        {"correlation_length": 2.214167e-5, "young": 4.763938e8, "poisson": 0.0432006},
+        [0.8075216, 28.754933, 34.339347, 1.9072965, 39.303689, 1.6771375],
+        [0.0836515, 8.6940819, 10.9931085, 0.2878647, 13.191039, 0.2381639],
+        [0.0014864, 0.0397841, 0.0504464, 0.0023742, 0.0605845, 0.0021792],
+        ["length"] * 6,
+    ),
+    "counts": (
+        {"correlation_length": 3.3290603788386396e-5, "young": 5.0332320e8, "poisson": 0.0035642},
+        [14.510297, 53.81726, 3.7420065, 65.887145, 3.6074325, 15.528198, 18.019265, 1.8447254, 16.998531],
+        [2.4315372, 16.4925488, 0.5659402643, 21.3392770284, 0.5326496606, 3.1049631, 3.8178347, 0.2156857, 3.5620946054],
+        [0.0, 0.2655198, 0.0, 0.0, 0.0, 0.0533706, 0.0639366, 0.0052124, 0.0],
+        ["at_least", "length", "whole", "whole", "whole", "length", "length", "length", "whole"],
+    ),
+}
+"""Heights, lengths and errors in mm, H/λc up to 2000, b at most 2.5; and how each was measured."""
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("which", TALL)
+def test_whole_events_of_several_tall_sliders(which):
+    """The range went on to b = 5000 of the tallest, where events take seconds each, and one was given up."""
+    material, height, length, sigma, kind = TALL[which]
+    size = material["correlation_length"] * 1e3
+    length = [round(x / size) * size if how == "whole" else x for x, how in zip(length, kind, strict=True)]
+    columns = {"height": height, "length": length, "length_sigma": sigma}
+    m = sp.Measurements.from_si(**{name: 1e-3 * np.array(x) for name, x in columns.items()}, kind=kind, **material)
+    whole, front = sp.fit(m, event="full", intervals="profile"), sp.fit(m, intervals="profile")
+    assert whole.identifiability in (Identifiability.IDENTIFIED, Identifiability.SKEWED)
+    assert whole.regime.b.max() < 3.09
+    assert whole.values["areal_stiffness"] == pytest.approx(front.values["areal_stiffness"], rel=1e-6), "nothing breaks again"
+    f = sp.objective(m, event="full")
+    assert float(f(f.start())) == pytest.approx(whole.deviance / 2, abs=0.01)
+
+
+def test_a_point_without_a_value_does_not_end_a_fit(monkeypatch):
+    """Events that are given up at some stiffnesses; and at all, which is an error."""
+    for most, rejected in ((20.0, False), (0.0, True)):
+        monkeypatch.setattr(
+            fronts,
+            "_over_front",
+            lambda place, most=most: np.where(np.exp(place[:, 1:2]) < most, 1.0, np.nan) + 0 * place[:, :1],
+        )
+        m = dataclasses.replace(study(1.0)[1], prestress=0.01 * np.ones(6))
+        if rejected:
+            with pytest.raises(NotConverged, match="no event of the range searched that could be followed"):
+                sp.fit(m, event="full", intervals="profile")
+            continue
+        result = sp.fit(m, event="full", intervals="profile")
+        assert np.isfinite(result.values["stiffness"])
+        assert np.isnan(result.curves["stiffness"].deviance).sum() == 0
+        assert np.isfinite(result.attainable).all()
+        assert np.isfinite(result.fitted).all()
+
+
+@pytest.mark.ci
+def test_lengths_unlike_all_that_were_measured_come_from_lower_sliders():
+    """To 1 % where b is up to 40; those like them are as exact as the model."""
+    height, b = np.array([3000.0, 3000.0, 3000.0]), np.array([1.0, 4.0, 40.0])
+    inputs = Inputs.of(height, b / (2.6 * height), 0.3)
+    exact = WholeEvent().lengths(inputs)
+    for target in (1, 2):
+        m = sp.Measurements(height[:1], 0.3, exact[target : target + 1], 1.0)
+        found = WholeEvent(m).lengths(inputs)
+        assert found[target] == exact[target]
+        np.testing.assert_allclose(found, exact, rtol=0.01)
 
 
 @pytest.mark.ci

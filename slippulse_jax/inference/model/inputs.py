@@ -24,7 +24,7 @@ class Input(NamedTuple):
 
 
 COMMON = {
-    "log_height": Input("H/λc", 0.0, np.inf, "must exceed 1"),
+    "log_height": Input("H/λc", 1e-9, np.inf, "must exceed 1"),
     "log_stiffness": Input("k/K", np.log(1e-30), np.log(1e3), "must lie in 1e-30 to 1e3"),
     "poisson": Input("ν", POISSON.low, POISSON.high, POISSON.requirement, 1e-5, (-np.inf, 0.5)),
     "prestress": Input("φ", PRESTRESS.low, PRESTRESS.high, PRESTRESS.requirement, 1e-5),

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from slippulse_jax.bulk.chunks import distinct_rows
@@ -26,6 +27,7 @@ PRIOR_REACH = 6.0
 """Standard deviations of a prior searched on either side where no bounds are given."""
 
 
+@jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
 class Linear:
     """One number per measurement, linear in θ."""
@@ -420,9 +422,9 @@ def default_bounds(
     if name in STIFFNESSES:
         per_unit = ratio_per_unit(m)[rows]
         lowest, highest = front.softest(m)[rows] / per_unit, front.stiffest(m)[rows] / per_unit
-        # for blocks, the range in which all have a precursor and b is not too large for any
-        all_of = front.body == "block" and lowest.max() < highest.min()
-        return (float(lowest.max()), float(highest.min())) if all_of else (float(lowest.min()), float(highest.max()))
+        # where b is bounded, it is not too large for any; of blocks, all have a precursor
+        low, high = lowest.max() if front.body == "block" else lowest.min(), highest.min()
+        return (float(low), float(high)) if front.interpolated and low < high else (float(lowest.min()), float(highest.max()))
     size = float(m.metres[rows].max())
     own = {"offset": (-longest * size, longest * size), "threshold_slope": (-0.5 / longest, 2 / longest)}.get(name)
     if bounds := front.ranges(m).get(name) or PARAMETERS[name].bounds or own:

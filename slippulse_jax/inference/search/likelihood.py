@@ -12,7 +12,7 @@ import dataclasses
 import itertools
 from collections.abc import Callable, Iterable
 from functools import cache, partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +25,7 @@ from scipy.special import chdtrc, digamma, erf
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.inference.choices import Loss
-from slippulse_jax.inference.model.fronts import BlockSequence
+from slippulse_jax.inference.model.fronts import BlockSequence, Front
 from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.model.observables import OBSERVED, predicted
 from slippulse_jax.inference.model.parameters import Linear, ParameterSet
@@ -99,7 +99,8 @@ def count_cost(mu: Array, value: ArrayLike, sigma: ArrayLike, sharpest: float = 
 def at_least_cost(mu: Array, value: ArrayLike, sigma: ArrayLike) -> Array:
     """−ln Φ((μ − value)/σ): a front past `value`; 0 for inf."""
     finite = jnp.isfinite(mu)
-    return jnp.where(finite, -log_ndtr((jnp.where(finite, mu, value) - value) / jnp.maximum(sigma, SHARPEST)), 0)
+    cost = -log_ndtr((jnp.where(finite, mu, value) - value) / jnp.maximum(sigma, SHARPEST))
+    return jnp.where(finite, cost, jnp.where(jnp.isnan(mu), jnp.inf, 0))
 
 
 def log_ndtr(x: Array) -> Array:
@@ -113,6 +114,8 @@ def log_ndtr(x: Array) -> Array:
     return jnp.where(is_far, tail, special.log_ndtr(jnp.where(is_far, -20.0, x)))
 
 
+How = tuple[Front, Loss, tuple[tuple[str, tuple[str, ...], bool, tuple[Any, ...]], ...]]
+"""What of a problem is no number: model, loss, and of each observable name, kinds of data, whether relaxed, and options."""
 COSTS = {"length": length_cost, "whole": count_cost, "at_least": at_least_cost}
 """By the kind of a measurement."""
 
@@ -344,9 +347,20 @@ class Problem:
         For `jax.jit`, `jax.vmap` and `jax.grad`, and up to rounding that of a call; in double precision only under
         ``jax.enable_x64``. θ is in the order of `parameters.names`; the bounds are not part of it.
         """
-        off = theta - jnp.asarray(self.prior_mean[0])
-        prior = (self.prior_weight * off**2).sum() / 2
-        return sum((_traced(theta, self, data) for data in self.observed), prior)
+        return density(*self.parts, theta)
+
+    @property
+    def parts(self) -> tuple[How, Any]:
+        """What of a problem is no number, and its numbers."""
+        front, ends, how = self.parameters.front, np.stack([self.parameters.low, self.parameters.high]), []
+        for data in self.observed:
+            relaxed = not any(x.base.any() or x.slope.any() for x in (data.inputs.prestress, data.inputs.threshold_slope))
+            options = (_sites(self, data),) if data.observable in READINGS else ()
+            if data.observable in ("length", "first"):
+                options = front.most(data.inputs.log_height(ends).max(axis=0), data.inputs.names)
+            how.append((data.observable, tuple(data.kind.tolist()), relaxed, options))
+        numbers = tuple(data._replace(kind=None, observable=None) for data in self.observed)
+        return (front, self.loss, tuple(how)), (self.prior_mean[0], self.prior_weight, numbers)
 
     def _evaluate(self, theta: np.ndarray, lane: np.ndarray, order: int) -> Evaluation:
         """Sum the cost over priors and observables, with its derivatives."""
@@ -541,31 +555,36 @@ class Problem:
         return dataclasses.replace(self, observed=observed, prior_mean=means)
 
 
-def _traced(theta: Array, problem: Problem, data: Observations) -> Array:
-    """−ln p of the data of one observable at one θ."""
-    relaxed = not any(x.base.any() or x.slope.any() for x in (data.inputs.prestress, data.inputs.threshold_slope))
-    sites = _sites(problem, data) if data.observable in READINGS else 0
-    options = {"sites": sites} if data.observable in READINGS else {}
-    front, ends = problem.parameters.front, np.stack([problem.parameters.low, problem.parameters.high])
+def density(how: How, numbers: Any, theta: Float[Array, " p"]) -> Float[Array, ""]:
+    """−ln(likelihood × prior) of the `parts` of a problem."""
+    (front, loss, each), (mean, weight, observed) = how, numbers
+    prior = (weight * (theta - mean) ** 2).sum() / 2
+    return sum((_traced(front, loss, *one, data, theta) for one, data in zip(each, observed, strict=True)), prior)
 
-    def predict(theta: Array) -> Array:
+
+def _traced(
+    front: Front, loss: Loss, observable: str, kinds: tuple[str, ...], relaxed: bool, options: tuple, data: Any, theta: Array
+) -> Array:
+    """−ln p of the data of one observable at one θ."""
+
+    def predict(data: Any, theta: Array) -> Array:
         inputs = data.inputs.at(theta)
-        if data.observable in ("length", "first"):
-            found = front.in_rows(inputs, relaxed, data.inputs.log_height(ends).max(axis=0))
+        if observable in ("length", "first"):
+            found = front.in_rows(inputs, relaxed, *options)
         else:
-            found = jax.vmap(partial(OBSERVED[data.observable], front, relaxed=relaxed, **options))(inputs)
+            found = jax.vmap(lambda one: OBSERVED[observable](front, one, relaxed, *options))(inputs)
         return found[data.rows] * jnp.exp(data.scale(theta)) + data.offset(theta)
 
-    mu = by_forward_mode(predict)(theta)  # the loop over breaks has no other mode
+    mu = by_forward_mode(predict, held=data)(theta)  # the loop over breaks has no other mode
     if data.whitening is not None:
         finite = jnp.isfinite(mu)
         off = data.whitening @ (jnp.where(finite, mu, data.value[0]) - data.value[0])
         return jnp.where(finite.all(), jnp.square(off).sum() / 2, jnp.inf)
     total = jnp.zeros(())
     for kind in COSTS:
-        there = np.nonzero(data.kind == kind)[0]
+        there = np.nonzero(np.array(kinds) == kind)[0]
         if len(there):
-            cost = _cost(kind, problem.loss)(mu[there], data.value[0][there], data.sigma[there])
+            cost = _cost(kind, loss)(mu[there], data.value[0][there], data.sigma[there])
             total = total + (data.weight[0][there] * cost).sum()
     return total
 

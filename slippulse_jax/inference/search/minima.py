@@ -7,6 +7,7 @@ valley narrower than the grid is found if a start descends into it, or by the pr
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
@@ -28,6 +29,8 @@ UNMEASURABLE = 1e-4
 SAMPLES = 512
 """Points of the Sobol sequence; the best of them become starts."""
 STARTS = 32
+CLOSER = 1, 1, 64, 64**2
+"""By which factors the grids along a parameter, on which a start is sought, are closer."""
 BETWEEN = 0.5
 """Error of a length by interpolation, in σ, above which the fit allows for it."""
 
@@ -266,7 +269,8 @@ def first_edges(problem: Problem) -> list[np.ndarray]:
     q, p = problem.parameters, problem.p
     edges = [np.linspace(low, high, NODES[p]) for low, high in zip(q.low, q.high, strict=True)]
     if p > 1:
-        return [np.unique(np.concatenate([edge, _counted(problem, j)])) for j, edge in enumerate(edges)]
+        middle = np.where(problem.prior_weight > 0, problem.prior_mean[0], (q.low + q.high) / 2)
+        return [np.unique(np.concatenate([edge, _counted(problem, j, middle)])) for j, edge in enumerate(edges)]
     if p == 1:
         offsets = np.concatenate([[0.0], np.geomspace(1e-6, 0.1, 24)])
         near = [top + side * offsets for top in _tops(problem) for side in (-1, 1)]
@@ -275,7 +279,7 @@ def first_edges(problem: Problem) -> list[np.ndarray]:
     return edges
 
 
-def _counted(problem: Problem, j: int) -> np.ndarray:
+def _counted(problem: Problem, j: int, at: np.ndarray) -> np.ndarray:
     """Values of θ_j at which lengths are amid their counts.
 
     A count may hold in a range narrower than the grid's.
@@ -284,7 +288,7 @@ def _counted(problem: Problem, j: int) -> np.ndarray:
     counts = np.flatnonzero(data.kind == "whole")
     if not len(counts):
         return np.empty(0)
-    theta = np.tile(np.where(problem.prior_weight > 0, problem.prior_mean[0], (q.low + q.high) / 2), (NODES[1], 1))
+    theta = np.tile(at, (NODES[1], 1))
     theta[:, j] = np.linspace(q.low[j], q.high[j], NODES[1])
     off = problem.predict(theta)[:, counts] - (data.value[0][counts] - 0.5)
     at, which = np.nonzero((off[1:] >= 0) != (off[:-1] >= 0))
@@ -301,11 +305,17 @@ def _starts(problem: Problem, grid: DevianceGrid | None, seed: int) -> np.ndarra
 
 
 def lowest_look(problem: Problem) -> np.ndarray:
-    """Point of least deviance on the grid or at a prior."""
-    points = _starts(problem, grid_of(problem), 0)
+    """Point of least deviance on grids, ever closer along each parameter."""
+    q, points = problem.parameters, _starts(problem, grid_of(problem), 0)
     if problem.prior_weight.any():
         points = np.concatenate([points, _sampled(problem, 0)])
-    return points[np.argmin(problem(points).value)]
+    best = points[np.argmin(problem(points).value)]
+    for closer, j in itertools.product(CLOSER, [j for j, one in enumerate(q.free) if not one.nuisance]):
+        near = best[j] + (q.high[j] - q.low[j]) / closer * np.linspace(-1, 1, NODES[1])
+        nodes = np.concatenate([best[[j]], np.clip(near, q.low[j], q.high[j]), _counted(problem, j, best)])
+        points = np.where(np.arange(problem.p) == j, nodes[:, None], best)
+        best = points[np.argmin(problem(points).value)]
+    return best
 
 
 def _sampled(problem: Problem, seed: int) -> np.ndarray:
