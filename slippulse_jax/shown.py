@@ -12,6 +12,8 @@ SHOWN = 6
 """Largest size of an array shown in full; larger ones are shown by size and range."""
 TIED = "\u00a0"
 """Space at which no line is folded."""
+AS_GIVEN = 9
+"""Digits with which a stated number is repeated: all that anyone gives, and no rounding of an arithmetic."""
 MOST_ROWS = 20
 """Rows of a table that are shown."""
 
@@ -49,7 +51,7 @@ def exponent_of(value: float) -> int:
 def format_number(value: float, digits: int = 4) -> str:
     """``1.955e10`` or ``0.03``: to four digits."""
     exponent = exponent_of(value)
-    text = f"{float(f'{value / 10.0**exponent:.{digits}g}'):g}"
+    text = f"{float(f'{value / 10.0**exponent:.{digits}g}'):.{max(digits, 6)}g}"
     return f"{text}e{exponent}" if exponent else text
 
 

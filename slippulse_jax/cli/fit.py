@@ -52,7 +52,8 @@ def _print_columns(ctx: click.Context, parameter: click.Parameter, wanted: bool)
         formatter = ctx.make_formatter()
         for name, columns in (("LENGTHS.CSV", COLUMNS), ("GAUGES.CSV", OF_GAUGES)):
             with formatter.section(f"Columns of {name}"):
-                formatter.write_dl([(one.name(in_si=True), one.sentence.replace("`", "")) for one in columns.values()])
+                rows = [(one.name(in_si=True), one.sentence.replace("`", "")) for one in columns.values()]
+                formatter.write_dl(rows, col_max=32)
         click.echo(formatter.getvalue(), nl=False)
         ctx.exit()
 

@@ -524,9 +524,15 @@ def length_versus_stiffness(result: "FitResult", *, ax: "Axes | None" = None) ->
             ax.axhline(low, color=color, lw=1, ls=":")
         largest, any_again = np.maximum(largest, share), any_again or bool(again.any())
         highest = max(highest, high if high < np.inf else low)
-    for piece in result.intervals[result.names[0]][BAND_LEVEL]:
-        look = {"facecolor": c.grey, "edgecolor": c.ink, "alpha": 0.35, "lw": 0.8, "label": f"{BAND_LEVEL:.0%} interval"}
-        ax.axvspan(piece.low, piece.high, **look)
+    name, level = result.names[0], f"{BAND_LEVEL:.0%} interval"
+    wider = result.intervals_with_inputs.get(name, {}).get(BAND_LEVEL, [])
+    of_lengths = f"{BAND_LEVEL:.0%}, lengths only" if wider else level
+    for pieces, alpha, label in (
+        (wider, 0.2, f"{BAND_LEVEL:.0%}, total"),
+        (result.intervals[name][BAND_LEVEL], 0.35, of_lengths),
+    ):
+        for piece in pieces:
+            ax.axvspan(piece.low, piece.high, facecolor=c.grey, edgecolor=c.ink, alpha=alpha, lw=0.8, label=label)
     ax.axvline(result.values[result.names[0]], color=c.ink, lw=1, ls=":", label=_best(result))
     ax.set_xscale("log")
     if (top := largest.max()) > 0:
@@ -654,7 +660,10 @@ def profile(result: "FitResult", name: str, *, color: str | None = None, ax: "Ax
         else:
             ax.axhline(height, color=c.ink, lw=0.8, ls=":")
         ax.annotate(f"{level:.0%}", (1, height), (2, 0), **BESIDE, xycoords=ax.get_yaxis_transform(), color=c.ink)
-    below = curve.node[rise < limit]
+    below, wider = curve.node[rise < limit], result.intervals_with_inputs.get(name, {}).get(BAND_LEVEL, []) if judged else []
+    for piece in wider:
+        ax.plot(piece[:2], [result.rise(BAND_LEVEL)] * 2, color=c.grey, lw=2.5, alpha=0.6, label=f"{BAND_LEVEL:.0%}, total")
+        below = np.sort(np.clip([*below, *map(one.theta, piece[:2])], one.low, one.high))
     if len(below) > 1:
         pad = 0.1 * (below[-1] - below[0])
         ax.set_xlim(one.value(max(one.low, below[0] - pad)), one.value(min(one.high, below[-1] + pad)))

@@ -15,10 +15,10 @@ import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.model.family import Families
 from slippulse_jax.inference.model.inputs import Inputs
-from slippulse_jax.inference.result.changes import PUSHES, Change, of_inputs, total_interval, total_of_ratio
+from slippulse_jax.inference.result.changes import PUSHES, Change, of_inputs, total_intervals, total_of_ratio
 from slippulse_jax.inference.result.report import value_with_error
 from slippulse_jax.inference.result.verdict import Identifiability
-from slippulse_jax.inference.search.intervals import LEVELS
+from slippulse_jax.inference.search.intervals import LEVELS, Interval
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "fit_examples"
 HEIGHT = np.array([250.0, 350.0, 450.0, 550.0, 650.0, 750.0])
@@ -76,13 +76,14 @@ def test_a_size_of_errors_from_few_lengths_widens_the_interval():
 
 
 @pytest.mark.ci
-def test_total_interval_is_that_of_a_fit_with_the_error_stated():
-    """A modulus known to 30 %: its error is in the budget of one fit, and in the interval of the other."""
+@pytest.mark.parametrize("level", LEVELS)
+def test_total_interval_is_that_of_a_fit_with_the_error_stated(level):
+    """A modulus known to 30 %: its error is in the budget of one fit, and in the intervals of the other."""
     m = sp.read_measurements(EXAMPLES / "pmma_block/lengths.csv")
     exact, known = sp.fit(m), sp.fit(dataclasses.replace(m, specimen=(), young_sigma=0.3 * m.young))
-    (stated,) = known.intervals["areal_stiffness"][LEVELS[0]]
+    (stated,) = known.intervals["areal_stiffness"][level]
     moved = Change("young", "E larger by a third", {"areal_stiffness": (0.3,)}, {"areal_stiffness": -0.3})
-    found = total_interval(exact, "areal_stiffness", [moved])
+    (found,) = total_intervals(exact, "areal_stiffness", [moved])[level]
     assert found[:2] == pytest.approx(stated[:2], rel=0.01)
     assert found.high - exact.values["areal_stiffness"] > 1.3 * (exact.values["areal_stiffness"] - found.low)
 
@@ -110,7 +111,7 @@ def test_the_total_of_a_block_is_an_interval_too(worked):
     """As high as by two fits with the push moved: the report has the interval where it is not that of ±."""
     result = worked("pushed_block")
     value, by = result.values["areal_stiffness"], result.changes
-    low, high, *_ = total_interval(result, "areal_stiffness", by)
+    ((low, high, *_),) = total_intervals(result, "areal_stiffness", by)[LEVELS[0]]
     others = np.linalg.norm([one.by("areal_stiffness") for one in of_inputs(by) if one.name != "push_height"])
     for end, factor, mine in ((low, 1.05, 0), (high, 0.95, 1)):
         m = result.measurements
@@ -122,6 +123,60 @@ def test_the_total_of_a_block_is_an_interval_too(worked):
     assert [float(x) * 1e10 for x in sides] == pytest.approx([value, value - low, high - value], abs=0.06e10)
     even = worked("pmma_block").report()
     assert re.search(r"k/λc² \(Pa/m\)  \(1.96 ± 0.17\)e10 ", even)
+
+
+def test_half_widths_and_errors_of_inputs_add_in_quadrature_side_by_side():
+    """In ln k, about the root in each piece; an open side stays open, and pieces that meet are one."""
+    exact = sp.fit(lengths())
+    best = exact.values["stiffness"]
+    moves = [Change("young", "", {"stiffness": (0.2,)}, {"stiffness": -0.1})]
+    moves.append(Change("height", "", {"stiffness": (0.05,)}, {"stiffness": -0.05}))
+    below, above = np.hypot(0.1, 0.05), np.hypot(0.2, 0.05)
+
+    def wider(pieces, level=0.95, moved=moves):
+        found = dataclasses.replace(exact, intervals={"stiffness": {level: [Interval(*one) for one in pieces]}})
+        return total_intervals(found, "stiffness", moved).get(level)
+
+    size = {0.68: 0.9944579, 0.95: 1.959964}  # of the normal distribution, from its table
+    for level, z in size.items():
+        (piece,) = wider([(0.9 * best, 1.2 * best, False, False)], level)
+        assert np.log(best / piece.low) == pytest.approx(np.hypot(np.log(1 / 0.9), z * below), rel=1e-5)
+        assert np.log(piece.high / best) == pytest.approx(np.hypot(np.log(1.2), z * above), rel=1e-5)
+    (piece,) = wider([(0.9 * best, 30 * best, False, True)])
+    assert (piece.open_low, piece.open_high, piece.high) == (False, True, 30 * best)
+    assert piece.low == pytest.approx(best * np.exp(-np.hypot(np.log(0.9), size[0.95] * below)), rel=1e-5)
+    far = [(0.9 * best, 1.1 * best, False, False), (20 * best, 30 * best, False, False)]
+    assert [one.low < wide.low for one, wide in zip(wider(far), (Interval(*one) for one in far), strict=True)] == [True, True]
+    (met,) = wider([(0.9 * best, 1.1 * best, False, False), (1.2 * best, 30 * best, False, True)])
+    assert met.low < 0.9 * best
+    assert met.open_high
+    assert wider(far, moved=[Change("young", "", {"stiffness": (float("nan"),)}, {"stiffness": float("nan")})]) is None
+
+
+def test_the_box_names_both_intervals_wherever_they_are_shown(worked):
+    """In the box, the sentences, the table of a notebook, the dict and the figure: total, and of the lengths only."""
+    result = worked("pmma_block")
+    (own,), (total,) = (found["areal_stiffness"][0.95] for found in (result.intervals, result.intervals_with_inputs))
+    assert total.low < own.low < own.high < total.high
+    shown = [f"({piece.low / 1e10:.{digits}f} to {piece.high / 1e10:.{digits}f})" for piece, digits in ((total, 2), (own, 3))]
+    head, row = (line.split("  ") for line in result.report().splitlines()[1:3])
+    assert [cell.strip() for cell in head if "95 %" in cell] == ["95 %, total", "95 %, these only"]
+    assert [cell.strip() for cell in row if " to " in cell] == [f"{text}e10" for text in shown]
+    said = result.methods()
+    where = [said.index(f"95 % interval is k/λc² = {text} × 10¹⁰ Pa/m") for text in shown]
+    assert where[0] < said.index("From the lengths only") < where[1]
+    assert all(f"{text}e10" in result._repr_html_() for text in shown)
+    assert "95% interval, total" in result._repr_html_()
+    written = result.to_dict()["intervals_with_inputs"]["areal_stiffness"]
+    assert [total.low, total.high] == pytest.approx(
+        [*dict(written)["0.95" if "0.95" in dict(written) else 0.95][0].values()][:2]
+    )
+    ax = sp.plot.length_versus_stiffness(result)
+    bands = {patch.get_label(): patch.get_extents().transformed(ax.transData.inverted()) for patch in ax.patches}
+    for label, piece in (("95%, total", total), ("95%, lengths only", own)):
+        assert [bands[label].x0, bands[label].x1] == pytest.approx([piece.low, piece.high])
+    bare = sp.fit(two_specimens(young_sigma_GPa=0.2, height_sigma_mm=0.2, correlation_length_sigma_um=5.0, poisson_sigma=0.01))
+    assert "95 % interval" in bare.report() or any(of_inputs(bare.changes))
 
 
 # --- specimens ----------------------------------------------------------------------------------------------------------
@@ -365,7 +420,7 @@ def test_intervals_by_simulation_are_called_so(tmp_path):
     assert by_default.intervals == asked.intervals
     for result in (by_default, asked):
         assert result.calibrated
-        assert "95 % interval (simulated)" in result.report()
+        assert "95 %, these only (simulated)" in result.report()
     drawn = [line for line in sp.plot.profile(by_default, "stiffness").lines if line.get_label() == "interval, simulated"]
     pieces = [piece for every in by_default.intervals["stiffness"].values() for piece in every]
     assert [tuple(line.get_xdata()) for line in drawn] == [piece[:2] for piece in pieces]
@@ -532,9 +587,10 @@ def test_the_deviance_is_that_of_residuals_and_inputs(made):
 def test_one_of_two_values_that_fit_equally():
     """Neither is the best; and methods give the interval."""
     result = sp.fit(sp.Measurements(25.0, 0.3, [25.5], 0.15))
-    assert re.search(r"│ k/K  0\.0\d+ \(one of 2\)  +0\.02\d+ to 0\.03\d+ or 0\.06\d+ to 0\.08", result.report())
+    own = r"0\.02\d+ to 0\.03\d+ or 0\.06\d+ to 0\.08"
+    assert re.search(rf"│ k/K  0\.01\d+ to 0\.0\d+ or 0\.05\d+ to 0\.1\d+  0\.0\d+ \(one of 2\)  +{own}", result.report())
     assert "(one of 2)" in result.report(verbose=True).split("Details")[1]
-    assert re.search(r"The 95 % interval is k/K = 0\.02\d+ to 0\.03\d+ or", result.methods())
+    assert re.search(rf"From the lengths only, the 95 % interval is k/K = {own}", result.methods())
 
 
 def test_counts_hold_or_are_off_by_contacts():
@@ -578,7 +634,8 @@ def test_an_error_that_the_data_exclude_is_not_one_of_the_result():
     result = sp.fit(two_specimens())
     none = Change("young", "", {"areal_stiffness": (float("nan"),)}, {"areal_stiffness": -0.2})
     assert none.by("areal_stiffness") == 0.2
-    assert total_interval(result, "areal_stiffness", [none]).low < result.values["areal_stiffness"] * np.exp(-0.2)
+    (found,) = total_intervals(result, "areal_stiffness", [none])[LEVELS[0]]
+    assert found.low < result.values["areal_stiffness"] * np.exp(-0.2)
 
 
 # --- what a reader would compute again ----------------------------------------------------------------------------------

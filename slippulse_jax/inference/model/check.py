@@ -38,6 +38,14 @@ AGED = 0.45
 """Part of a block below which no event tells how its contacts age."""
 LIKELY = Domain(0.02, 1.2, "")
 """Usual range of the length over the height."""
+COMPARED = (*HEIGHTS, "young", "correlation_length", "normal_load", "machine_stiffness", "strength", "time_constant")
+"""Parameters whose priors, values and bounds are held against what the table states, or what is usual."""
+USUALLY = {"strength": (1e3, 1e9), "time_constant": (0.02, 50.0)}
+"""Usual ranges of parameters that no table states."""
+IN_UNIT = {"m": "height", "Pa": "young"}
+"""Columns by whose units a parameter in one of SI may be meant."""
+IN_ALL = {"normal_load": "N", "machine_stiffness": "N/m"}
+"""Units in which those over the width of the block may be given by mistake."""
 SUSPECT = (0.01, 1.5)
 """Range of the length over the height outside which a unit is suspected."""
 
@@ -255,23 +263,27 @@ def _unlikely(m: Measurements) -> Iterator[str]:
 
 
 def _far_from_the_table(m: Measurements, wanted: Iterable[Parameter]) -> Iterator[str]:
-    """Find priors, values and bounds far from what the table states."""
-    for one in wanted:
+    """Find priors, values and bounds far from what is stated or usual."""
+    most = float(np.nanmax(m.or_zero("force")))
+    usual = USUALLY | ({"normal_load": (most / 1.2, most / 0.015)} if m.is_sequence else {})
+    for one in (one for one in wanted if one.name in COMPARED):
         key = next((key for key in ("prior", "value", "bounds") if getattr(one, key) is not None), None)
-        table = stated(m, one.name)
-        if key is None or table is None or one.name not in (*HEIGHTS, "young", "correlation_length"):
+        column = stated(m, one.name)
+        if key is None or (column is None and one.name not in usual):
             continue
-        table = table[np.isfinite(table)]
+        table = np.array(usual[one.name]) if column is None else column[np.isfinite(column)]
         if one.name in HEIGHTS and one.each is None:  # shown as that of the first
             table = table[:1]
         low, high = getattr(one, key) if key == "bounds" else np.repeat(getattr(one, key), 2)[:2]
-        if max(low / table.max(), table.min() / high) > 50:  # m and cm are 100 apart
-            unit = PARAMETERS[one.name].unit[m.in_si]
-            likely = Domain(table[0] / 1.5 * low / high, table[0] * 1.5, "")  # of the lower end, in the unit that was meant
-            meant = COLUMNS[one.name].likely_unit(low, likely=likely) if m.in_si else ""
+        unit, widest = PARAMETERS[one.name].unit[m.in_si], 3 if column is None else 50  # m and cm are 100 apart
+        likely = Domain(table[0] / 1.5 * low / high, table[-1] * 1.5, "")  # of the lower end, in the unit that was meant
+        meant = COLUMNS[IN_UNIT[unit]].likely_unit(low, likely=likely) if unit in IN_UNIT else ""
+        of_all = IN_ALL.get(one.name, "") if m.block_width is not None and likely.holds(low / m.block_width[0]) else ""
+        if max(low / table.max(), table.min() / high) > widest or (of_all and not likely.holds(low)):
             number = f"{low:g} to {high:g}" if key == "bounds" else f"{low:g}"
             where = f"where {m.heading(one.name)} says {table[0]:.4g} {unit}"
-            asked = f"; is it in {meant}?" * bool(meant)
+            where = where if column is not None else f"usually {table[0]:.2g} to {table[1]:.2g} {unit}"
+            asked = f"; is it in {of_all or meant}?" * bool(of_all or meant)
             yield f"{one.name} = {number} {unit}, {where}: priors, bounds and held values are in {unit}{asked}"
 
 

@@ -674,9 +674,10 @@ class BlockSequence(BlockEvent):
     inputs = {
         **BlockEvent.inputs,
         "log_machine": FirstFront.inputs["log_machine"],
-        "newborn": Input("ν", 0.0, 1.0, "must lie in (0, 1]", 1e-4, (0.01, 1.0)),
+        "newborn": Input("newborn", 0.0, 1.0, "must lie in (0, 1]", 1e-4, (0.01, 1.0)),
         "log_time": Input("τ/u_s", -np.inf, np.inf, ""),
         "threshold_scatter": Input("scatter", -1e-300, 0.3, "must lie in [0, 0.3)", 1e-4, (0.0, 0.3)),
+        "log_extent": Input("", -np.inf, np.inf, ""),
         "datum": Input("", 0.0, np.inf, ""),
     }
     most_off = 0.0  # `search.clouds` adds errors
@@ -706,14 +707,7 @@ class BlockSequence(BlockEvent):
         self.error = np.where(spans, 0.0, np.hypot(np.nan_to_num(m.sigma) / ends, own))
         self.advance = 1.5 * contact
         self.numbered = m.event is not None
-        first = none == 1 if m.event is None else np.array([i == self._first(m, i) for i in range(len(m))])
-        self.first = np.flatnonzero(first)
-
-    def _first(self, m: Measurements, i: int) -> int:
-        """The first event of the sequence of a row."""
-        assert m.event is not None
-        own = np.flatnonzero(self.group == self.group[i])
-        return int(own[np.argmin(m.event[own])])
+        self.first = np.flatnonzero(m.or_zero("event") == 1)
 
     def check(self, m: Measurements, names: Collection[str]) -> None:
         """Ask for a push, an end, a friction and a normal load."""
@@ -743,7 +737,11 @@ class BlockSequence(BlockEvent):
         super().check(m, {*names} - {"friction"})
 
     def _check_alike(self, m: Measurements) -> None:
-        """Refuse a sequence of several blocks."""
+        """Refuse a sequence of several blocks, or of several runs."""
+        keys = list(zip(self.group.tolist(), m.or_zero("event").tolist(), strict=True))
+        for i in (i for i, key in enumerate(keys) if m.event is not None and key in keys[:i]):
+            again = f"{keys[i][1]:g}: a second time; name the runs in a column sequence"
+            raise ValueError(f"{m.place(i)}, column {m.heading('event')}: {again}")
         one_of = set(NUMERIC) - {"length", "length_sigma", "force", "force_sigma", "event"}
         for name in (name for name in NUMERIC if name in one_of and getattr(m, name) is not None):
             x = np.nan_to_num(getattr(m, name), nan=-1.0)
@@ -778,6 +776,7 @@ class BlockSequence(BlockEvent):
             "newborn": none + 1,
             "log_time": none,
             "threshold_scatter": none,
+            "log_extent": none,
             "datum": np.arange(len(m), dtype=float),
         }
 
@@ -818,15 +817,16 @@ class BlockSequence(BlockEvent):
         for cloud, (rows, series) in zip(self.clouds, self.series(inputs), strict=True):
             numbers = every[:, rows[0]]
             friction = numbers[:, [len(GEOMETRY) + CONTACTS.index("friction")]]
-            force, spread = series.force_at(self.place[rows], self.error[rows])
+            extent, arrested = inputs.get("log_extent")[:, rows], self.error[rows] > 0
+            place = self.place[rows] * np.exp(-extent * arrested)  # over the length that the block then has
+            force, spread = series.force_at(place, self.error[rows])
             length, begins = series.first(float(self.advance[rows[0]]))
             if self.numbered:
-                arrested = self.error[rows] > 0
-                found = series.force_of_arrest(self.place[rows[arrested]], self.error[rows[arrested]])
+                found = series.force_of_arrest(place[:, arrested], self.error[rows[arrested]])
                 force[:, arrested], spread[:, arrested] = found
                 own = np.isin(rows, self.first)
                 force[:, own], spread[:, own] = begins[:, None], 0.0
-            read = np.column_stack([friction * force, friction * spread, np.log(length)])
+            read = np.column_stack([friction * force, friction * spread, np.log(length) + extent[:, 0]])
             cloud.add(numbers, read, self._followed(inputs, rows[0])[1])
 
     def fitted(self, rows: np.ndarray | None, tuned: bool = False) -> None:

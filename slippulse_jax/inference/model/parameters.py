@@ -20,9 +20,9 @@ from slippulse_jax.inference.model.inputs import COMMON, Inputs
 from slippulse_jax.inference.table.measurements import Measurements
 from slippulse_jax.keywords import did_you_mean
 
-SCALES = ("length", "reach", "first", "displacement", "force", "slip", "stress", "position", "offset", "beyond")
+SCALES = ("length", "reach", "first", "displacement", "force", "slip", "stress", "position", "offset", "force_offset", "beyond")
 """ln(unit of measurement per unit of the model) of each observable, `reach` that of forces by place; what is added to a length,
-in λc; and the contacts broken beyond ℓ when gauges were read."""
+in λc, and to a force; and the contacts broken beyond ℓ when gauges were read."""
 PRIOR_REACH = 6.0
 """Standard deviations of a prior searched on either side where no bounds are given."""
 
@@ -240,24 +240,29 @@ PARAMETERS: dict[str, ParameterKind] = {
         factor=10.0,
     ),
     "push_height": ParameterKind("h", ("λc", "m"), True, {"log_push": 1}, factor=2.0),
+    "push_width": ParameterKind("w", ("λc", "m"), True, {"log_push_width": 1}, factor=2.0),
+    "block_length": ParameterKind("L", ("λc", "m"), True, {"log_sites": 1, "log_extent": 1}, factor=2.0),
+    "block_width": ParameterKind("W", ("", "m"), True, {"log_machine": -1}, factor=2.0),
+    "normal_stiffness": ParameterKind("k_n/k", ("", ""), True, {"log_normal_stiffness": 1}, factor=2.0),
     "young": ParameterKind("E", ("", "Pa"), True, {"log_stiffness": -1, "log_machine": -1}, factor=10.0),
     "poisson": ParameterKind("ν", ("", ""), False, {"poisson": 1}, (0.0, 0.5), 1.0, (-0.99, 0.5)),
     "prestress": ParameterKind("φ", ("σ_s", "σ_s"), False, {"prestress": 1}, (-0.95, 0.95), 1.0, (-0.99, 0.99)),
     "threshold_slope": ParameterKind("ε", ("1/λc", "1/λc"), False, {"threshold_slope": 1}, None, 1.0),
     "friction": ParameterKind("", ("", ""), False, {"friction": 1}, (0.0, 0.95), 1.0, limits=(0.0, np.inf)),
-    "newborn": ParameterKind("ν", ("", ""), False, {"newborn": 1}, (0.05, 1.0), limits=(0.01, 1.0)),
+    "newborn": ParameterKind("newborn", ("", ""), False, {"newborn": 1}, (0.05, 1.0), limits=(0.01, 1.0)),
     "time_constant": ParameterKind("τ", ("u_s", "u_s"), True, {"log_time": 1}, (0.02, 50.0)),
     "threshold_scatter": ParameterKind("scatter", ("", ""), False, {"threshold_scatter": 1}, (0.0, 0.15), limits=(0.0, 0.3)),
     "machine_stiffness": ParameterKind("M", ("E", "Pa"), True, {"log_machine": 1}, factor=10.0),
     "normal_load": ParameterKind("F_N", ("", "N/m"), True, {"reach": 1}, factor=10.0),
     "strength": ParameterKind("σ_s", ("", "Pa"), True, {"displacement": 1, "force": 1, "slip": 1, "stress": 1}, (1.0, 1e12)),
     "offset": ParameterKind("offset", ("λc", "m"), False, {"offset": 1}),
+    "force_offset": ParameterKind("force offset", ("", "N/m"), False, {"force_offset": 1}),
     "model_factor": ParameterKind("model factor", ("", ""), True, {"length": 1}),
     "arrest": ParameterKind("contacts beyond ℓ", ("λc", "λc"), False, {"beyond": 1}),
 }  # fmt: skip
 """Every parameter by name; k/K, areal stiffness and its ratio to E are one parameter, named by what the data determine."""
 STIFFNESSES = ("stiffness", "areal_stiffness", "areal_stiffness_over_young")
-HEIGHTS = ("height", "push_height")
+HEIGHTS = ("height", "push_height", "push_width", "block_length")
 """Lengths held in λc and shown in metres where λc is known; fitted as one factor on all of their rows."""
 NEEDS_SI = ("correlation_length", "young", "strength")
 OF_MEASURING = ("offset", "model_factor")
@@ -293,6 +298,8 @@ def parameter_set(
         name = parameter.name
         reference, unit = inputs.get(name, _reference(m, name)), m.metres if name == "offset" else 1
         acts = {target: size * rows / unit for target, size in PARAMETERS[name].acts.items()}  # of a unit of θ
+        if name == "block_width" and m.heading("force").endswith("_per_mm"):
+            acts["reach"] = -rows.astype(float)  # of the load alone
         if parameter.value is not None:
             held[name] = parameter.value
             shift = (np.log(parameter.value) if PARAMETERS[name].log else parameter.value) - reference
@@ -372,8 +379,12 @@ def _free(m: Measurements, front: Front, parameter: Parameter, label: str, rows:
 
 def stated_errors(m: Measurements, front: Front) -> dict[str, np.ndarray]:
     """Errors of inputs that the measurements state, as `stated`."""
-    of_blocks = ("push_height", "friction") if front.body == "block" else ()
-    every = {name: stated(m, name, "_sigma") for name in ("height", "poisson", "correlation_length", "young", *of_blocks)}
+    names = ["height", "poisson", "correlation_length", "young"]
+    names += ["push_height", "push_width", "friction", "normal_stiffness"] * (front.body == "block")
+    names += ["block_length"] * ("log_sites" in front.inputs)
+    names += ["machine_stiffness", "block_width"] * ("log_machine" in front.inputs)
+    names += ["normal_load"] * (front.event == "sequence")
+    every = {name: stated(m, name, "_sigma") for name in names}
     return {name: sigma for name, sigma in every.items() if sigma is not None and np.nan_to_num(sigma).any()}
 
 
@@ -426,7 +437,9 @@ def default_bounds(
         low, high = lowest.max() if front.body == "block" else lowest.min(), highest.min()
         return (float(low), float(high)) if front.interpolated and low < high else (float(lowest.min()), float(highest.max()))
     size = float(m.metres[rows].max())
-    own = {"offset": (-longest * size, longest * size), "threshold_slope": (-0.5 / longest, 2 / longest)}.get(name)
+    most = float(np.nanmax(m.or_zero("force")))
+    own = {"offset": (-longest * size, longest * size), "threshold_slope": (-0.5 / longest, 2 / longest)}
+    own = (own | {"force_offset": (-most, most)}).get(name)
     if bounds := front.ranges(m).get(name) or PARAMETERS[name].bounds or own:
         return bounds
     if name == "push_height" and m.push_height is not None:

@@ -59,16 +59,16 @@ class Followed(NamedTuple):
         ends = np.minimum(self.reached, 1.0)
         return np.diff(ends, axis=1, prepend=0.0)
 
-    def force_at(self, place: Float[np.ndarray, " m"], error: Float[np.ndarray, " m"]) -> np.ndarray:
+    def force_at(self, place: Float[np.ndarray, "*n m"], error: Float[np.ndarray, " m"]) -> np.ndarray:
         """Force at which the front first reaches places x/L.
 
         Averaged over their errors, and its spread; (2, n, m).
         """
-        ends = np.minimum(self.reached, 2.0)[:, None]
-        below = np.where(np.isinf(self.reached)[:, None], 1.0, ndtr((ends - place[:, None]) / np.maximum(error, 1e-9)[:, None]))
+        ends, error = np.minimum(self.reached, 2.0)[:, None], np.maximum(error, 1e-9)[:, None]
+        below = np.where(np.isinf(self.reached)[:, None], 1.0, ndtr((ends - place[..., None]) / error))
         return self._averaged(np.diff(below, axis=-1, prepend=0.0))
 
-    def force_of_arrest(self, place: Float[np.ndarray, " m"], error: Float[np.ndarray, " m"]) -> np.ndarray:
+    def force_of_arrest(self, place: Float[np.ndarray, "*n m"], error: Float[np.ndarray, " m"]) -> np.ndarray:
         """Force of the events that end at places x/L.
 
         Averaged over their errors, and its spread; (2, n, m). By how far they advance: a jump that ends there has been seen,
@@ -76,7 +76,7 @@ class Followed(NamedTuple):
         """
         advance = self.advance[:, None]
         with np.errstate(divide="ignore"):
-            density = np.log(advance) - ((np.minimum(self.reached, 1.0)[:, None] - place[:, None]) / error[:, None]) ** 2 / 2
+            density = np.log(advance) - ((np.minimum(self.reached, 1.0)[:, None] - place[..., None]) / error[:, None]) ** 2 / 2
         density = np.where(advance > 1e-12, density, -np.inf)
         weight = np.exp(density - density.max(axis=-1, keepdims=True))
         return self._averaged(weight / weight.sum(axis=-1, keepdims=True))

@@ -11,14 +11,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import chdtrc, ndtri
 
 from slippulse_jax.block import USUAL_NORMAL_STIFFNESS
 from slippulse_jax.inference.model.fronts import BlockEvent, BlockSequence, Front, front_for, front_of
 from slippulse_jax.inference.model.parameters import HEIGHTS, MODEL_ERROR, STIFFNESSES, Parameter, ParameterSet, parameter_set
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.inference.search.clouds import gathered
-from slippulse_jax.inference.search.intervals import LEVELS, Interval
+from slippulse_jax.inference.search.intervals import LEVELS, Interval, Intervals
 from slippulse_jax.inference.search.likelihood import IMPROBABLE, SCATTERED, Problem, make_problem
 from slippulse_jax.inference.search.minima import DevianceGrid, between_contacts, first_look, ordered, search
 from slippulse_jax.inference.search.minimise import minimise
@@ -30,8 +30,10 @@ from slippulse_jax.status import NotConverged
 if TYPE_CHECKING:
     from slippulse_jax.inference.result.result import FitResult
 
-USUAL = ("height", "length", "young", "poisson", "correlation_length", "push_height", "friction")
+USUAL = ("height", "length", "young", "poisson", "correlation_length", "push_height", "friction", "force", "normal_load")
 """Columns with a usual error, in the order in which a paper states them."""
+OF_DATA = ("force", "normal_load", "force_offset")
+"""Of these what changes the data, and no series."""
 SMALL = 0.01
 """Part of a usual error that is tried where the data exclude all of it."""
 END, MACHINES = 4.0, (1.0, 1 / 3)
@@ -103,26 +105,29 @@ def find_changes(result: "FitResult") -> list[Change]:
 
 
 def _of_sequence(result: "FitResult") -> Iterator[Change]:
-    """Usual errors of the inputs of sequences, and other normal springs.
+    """Usual errors of the inputs of sequences, and other contacts.
 
-    To first order. What a change does to the data is the mean over series near the fit, each followed with it and without:
-    one alone would differ by the order of its breaks.
+    Thresholds that scatter by a refit, the others to first order.
     """
     m, q = result.measurements, result.parameters
-    beside = {one.name for one in q.free}
-    for name in ("height", "young", "poisson", "push_height"):
-        if name not in beside and _taken_as_exact(m, name):
-            what, error, *_ = COLUMNS[name].usual
-            moves = _shifted(result, [_moved(m, name, error)])
-            yield Change(name, what, moves, {one: -by[0] for one, by in moves.items()})
-    longer = _shifted(result, [_moved(m, "block_length", math.log(1.01))])
-    yield Change("block_length", "a block longer by 1 %", longer)
+    beside, force = {one.name for one in q.free} | {*q.held}, m.or_zero("force")
+    inputs = [name for name in ("height", "young", "poisson", "push_height", "normal_load") if _taken_as_exact(m, name)]
+    of_inputs = [(name, *COLUMNS[name].usual[:2]) for name in ("force", *inputs) if name not in beside]
+    rows = {name: (what, [_moved(m, name, error)]) for name, what, error in of_inputs}
+    rows["block_length"] = "a block longer by 1 %", [_moved(m, "block_length", math.log(1.01))]
     if m.normal_stiffness is None:
-        sprung = [dataclasses.replace(m, normal_stiffness=np.full(len(m), ratio)) for ratio in NORMAL]
-        yield Change("normal_stiffness", SPRUNG[0], _shifted(result, sprung), tried=SPRUNG[1:])
+        rows["normal_stiffness"] = SPRUNG[0], [dataclasses.replace(m, normal_stiffness=np.full(len(m), x)) for x in NORMAL]
+    if "force_offset" not in beside:
+        zero = dataclasses.replace(m, force=force + 0.01 * force.max())
+        rows["force_offset"] = "zero of the load cell off by 1 % of the largest force", [zero]
+    for name, moves in _shifted(result, {name: tables for name, (_, tables) in rows.items()}).items():
+        opposite = {one: -by[0] for one, by in moves.items()} if name in USUAL else {}
+        yield Change(name, rows[name][0], moves, opposite, tried=SPRUNG[1:] if len(rows[name][1]) > 1 else ())
     scatter = min(max(SCATTER, 2 * q.inputs.at(result.theta).get("threshold_scatter")[0]), MOST_SCATTER)
-    moves = _shifted(result, [m], _scattered(q.wanted, scatter))
-    yield Change("threshold_scatter", f"thresholds that scatter by {100 * scatter:.2g} % from contact to contact", moves)
+    problem, theta, deviance = _followed_again(result, _scattered(q.wanted, scatter))
+    off = theta - result.theta if problem.accepts(theta, deviance) else np.full(len(theta), np.nan)
+    what = f"thresholds that scatter by {100 * scatter:.2g} % from contact to contact"
+    yield Change("threshold_scatter", what, {one: (float(off[q.index(one)]),) for one in result.moved})
 
 
 def _scattered(wanted: Iterable[Parameter], scatter: float) -> list[Parameter]:
@@ -130,35 +135,45 @@ def _scattered(wanted: Iterable[Parameter], scatter: float) -> list[Parameter]:
     return [*(one for one in wanted if one.name != "threshold_scatter"), Parameter("threshold_scatter", value=float(scatter))]
 
 
-def _shifted(
-    result: "FitResult", every: Sequence[Measurements], wanted: Sequence[Parameter] | None = None
-) -> dict[str, tuple[float, ...]]:
-    """Moves by other measurements, or other held parameters, to first order."""
-    problem, q, m = result.problem, result.parameters, result.measurements
+def _followed_again(result: "FitResult", wanted: Sequence[Parameter]) -> tuple[Problem, np.ndarray, float]:
+    """Fit sequences with other parameters: the problem, θ, and its deviance."""
+    m, error = result.measurements, result.request.get("model_error")
+    problem = make_problem(m, parameter_set(m, wanted, BlockSequence(m)), result.problem.loss, m.stated_sigma)
+    problem = gathered(problem, result.request["seed"], None if error == "fitted" else error)
+    theta = first_look(problem, 0)
+    return problem, theta, 2 * float(problem(theta[None]).value[0])
+
+
+def _shifted(result: "FitResult", changed: dict[str, list[Measurements]]) -> dict[str, dict[str, tuple[float, ...]]]:
+    """Moves by other tables, to first order.
+
+    What a table changes is the mean over series near the fit, each followed with it and without: one alone would differ by the
+    order of its breaks.
+    """
+    problem, q = result.problem, result.parameters
     jacobian = problem.jacobian(result.theta)
     covariance = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-9, hermitian=True)
-    gain = covariance @ jacobian.T
     near = np.random.default_rng(0).multivariate_normal(result.theta, covariance, SERIES, method="eigh")
-    near = np.clip(near, q.low, q.high)
-    known = _data_of_series(problem, m, near, q.wanted)
-    moves: dict[str, tuple[float, ...]] = dict.fromkeys(result.moved, ())
-    for other in every:
-        off = _data_of_series(problem, other, near, q.wanted if wanted is None else wanted) - known
-        off = np.nanmean(np.where(np.isfinite(off), off, np.nan), axis=0)
-        known_off = problem.in_errors(np.nan_to_num(off)[None])[0]
-        by = -gain @ np.concatenate([known_off, np.zeros(len(jacobian) - len(off))])
-        for one in moves:
-            moves[one] += (float(by[q.index(one)]),)
+    near, moves = np.clip(near, q.low, q.high), {}
+    front = BlockSequence(result.measurements)
+    known = _off_data(problem, result.measurements, near, front)
+    for name, tables in changed.items():
+        every = [_off_data(problem, m, near, front if name in OF_DATA else BlockSequence(m)) - known for m in tables]
+        off = [np.nanmean(np.where(np.isfinite(one), one, np.nan), axis=0) for one in every]
+        white = problem.in_errors(np.nan_to_num(off))
+        by = np.pad(white, [(0, 0), (0, len(jacobian) - white.shape[1])]) @ -jacobian @ covariance
+        moves[name] = {one: tuple(by[:, q.index(one)].tolist()) for one in result.moved}
     return moves
 
 
-def _data_of_series(problem: Problem, m: Measurements, theta: np.ndarray, wanted: Iterable[Parameter]) -> np.ndarray:
-    """What single series at θ give for the data of these measurements."""
-    q = parameter_set(m, wanted, BlockSequence(m))
-    assert isinstance(q.front, BlockSequence)
-    q.front.continued = False  # what a change does hardly depends on the size of contacts
-    q.front.follow(q.inputs.at(theta))
-    return make_problem(m, q, problem.loss, m.stated_sigma).predictions(theta)
+def _off_data(problem: Problem, m: Measurements, theta: np.ndarray, front: BlockSequence) -> np.ndarray:
+    """How far single series at θ lie from these measurements."""
+    q = parameter_set(m, problem.parameters.wanted, front)
+    if not len(front.clouds[0].numbers):
+        front.continued = False  # what a change does hardly depends on the size of contacts
+        front.follow(q.inputs.at(theta))
+    other = make_problem(m, q, problem.loss, m.stated_sigma)
+    return other.predictions(theta) - np.concatenate([data.value[0] for data in other.observed])
 
 
 def _size(change: Change, result: "FitResult") -> float:
@@ -417,19 +432,27 @@ def total(result: "FitResult", name: str, moved: Sequence[Change]) -> float | No
     return float(np.hypot(stderr, unit * np.linalg.norm([one.by(name) for one in of_inputs(moved)])))
 
 
-def total_interval(result: "FitResult", name: str, moved: Sequence[Change]) -> Interval | None:
-    """The 68 % interval, widened by errors of inputs.
+def total_intervals(result: "FitResult", name: str, moved: Sequence[Change]) -> Intervals:
+    """The intervals widened by errors of inputs, where these are known.
 
-    In quadrature; of a positive parameter in its logarithm. None where the interval is open or in pieces.
+    Piece by piece, on either side of the root in it, in quadrature; of a positive parameter in its logarithm. An open side
+    stays open, and pieces that meet are one.
     """
-    pieces, one = result.intervals.get(name, {}).get(LEVELS[0], []), result.parameters.named(name)
-    moves, value = np.array([one.both(name) for one in of_inputs(moved)]).reshape(-1, 2), result.values[name]
+    one, roots, found = result.parameters.named(name), [result.values[name], *(root.values[name] for root in result.roots)], {}
+    moves = np.array([change.both(name) for change in of_inputs(moved)]).reshape(-1, 2)
     by = np.linalg.norm([moves.min(axis=1), moves.max(axis=1)], axis=1)
-    if len(pieces) != 1 or pieces[0].open_low or pieces[0].open_high or not np.isfinite(by + value).all():
-        return None
-    low, high = (abs(one.theta(end) - one.theta(value)) for end in pieces[0][:2])
-    sides = np.hypot([low, high], by)
-    return Interval(one.value(one.theta(value) - sides[0]), one.value(one.theta(value) + sides[1]), False, False)
+    for level, pieces in result.intervals.get(name, {}).items() if np.isfinite(by).all() else ():
+        wider: list[Interval] = []
+        for piece in pieces:
+            low, high = one.theta(piece.low), one.theta(piece.high)
+            centre = next((one.theta(root) for root in roots if piece.low <= root <= piece.high), (low + high) / 2)
+            down, up = np.hypot([centre - low, high - centre], ndtri((1 + level) / 2) * by).tolist()
+            low = piece.low if piece.open_low else one.value(centre - down)
+            high = piece.high if piece.open_high else one.value(centre + up)
+            before = wider.pop() if wider and wider[-1].high >= low else piece._replace(low=low)
+            wider.append(piece._replace(low=before.low, high=high, open_low=before.open_low))
+        found[level] = wider
+    return found
 
 
 def total_of_ratio(result: "FitResult", labels: tuple[str, str], moved: Sequence[Change]) -> float | None:
@@ -566,10 +589,8 @@ def _with(result: "FitResult", wanted: list[Parameter]) -> tuple[float, int]:
     """Least deviance with these parameters, and how many more they are."""
     m, front = result.measurements, result.parameters.front
     if m.is_sequence:
-        problem = make_problem(m, parameter_set(m, wanted, BlockSequence(m)), result.problem.loss, m.stated_sigma)
-        error = result.request.get("model_error")
-        problem = gathered(problem, result.request["seed"], None if error == "fitted" else error)
-        return 2 * float(problem(first_look(problem, 0)[None]).value[0]), problem.p - result.problem.p
+        problem, _, deviance = _followed_again(result, wanted)
+        return deviance, problem.p - result.problem.p
     q = parameter_set(m, wanted, front)
     problem = make_problem(m, q, result.problem.loss, result.sigma)
     value = minimise(problem, _starts(result, q), q.low, q.high, max_steps=MOST_STEPS).value

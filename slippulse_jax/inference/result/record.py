@@ -120,6 +120,7 @@ def to_dict(result: "FitResult") -> dict[str, Any]:
         "stderr": result.stderrs,
         "stderr_with_inputs": result.stderrs_with_inputs,
         "error_with_inputs": result.errors_with_inputs,
+        "intervals_with_inputs": encode(result.intervals_with_inputs),
         "directions": result.directions,
         "notes": result.notes,
         "units": {name: units.get(name, "") for name in result.values},

@@ -35,12 +35,12 @@ from slippulse_jax.inference.result.verdict import (
     Identifiability,
     whole_events,
 )
-from slippulse_jax.inference.search.intervals import LEVELS, Interval
+from slippulse_jax.inference.search.intervals import LEVELS, Interval, Intervals
 from slippulse_jax.inference.search.likelihood import SCATTERED
 from slippulse_jax.inference.search.minima import SLACK
 from slippulse_jax.inference.table.columns import COLUMNS, READINGS, UNITS_OF_LENGTH
 from slippulse_jax.inference.table.measurements import Measurements
-from slippulse_jax.shown import TIED, ends, format_number, html, interval, listed, plural, value_with_error
+from slippulse_jax.shown import AS_GIVEN, TIED, ends, format_number, html, interval, listed, plural, value_with_error
 from slippulse_jax.theory import length_ceiling, rebreaking_b
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ def methods(result: "FitResult") -> str:
     """Write sentences for the methods section of a paper."""
     m, q, shown = result.measurements, result.parameters, _with_totals(result)
     scale, unit = m.unit
-    heights = ("a height of " if np.ptp(m.height * scale) == 0 else "heights of ") + ends(m.height * scale)
+    heights = ("a height of " if np.ptp(m.height * scale) == 0 else "heights of ") + ends(m.height * scale, AS_GIVEN)
     what = "a sequence of" if m.is_sequence else "first"
     how = f"by maximum likelihood (slippulse_jax {version('slippulse_jax')})"
     said = [f"We fitted {_data(result)} of {what} precursors at {heights} {unit} {how}.", _model(result)]
@@ -109,29 +109,30 @@ def methods(result: "FitResult") -> str:
         sign, tested = "χ²" if result.problem.plain else "deviance", result.problem.tested(result.p_value, result.testable_dof)
         tested = re.sub(r" ?\((.*)\)", r", \1", tested)
         fits = f" ({sign} = {format_number(result.misfit, 3)}{tested})".replace(TIED, " ")
-    bounded = [
-        shown[name] for name in result.names if shown[name].intervals.get(LEVELS[-1], "none") not in ("none", "unbounded")
-    ]
-    if result.given:
-        given = [shown[name] for name in result.given]
+    given, bare = [shown[name] for name in result.given], ("none", "unbounded")
+    told = given or [one for one in map(shown.__getitem__, result.names) if one.intervals.get(LEVELS[-1], "none") not in bare]
+    if given:
         said.append(f"We obtain {listed([one.equals(one.whole or one.own) for one in given])}{fits}.")
-        usual = [re.split(" larger by | smaller by ", COLUMNS[change.name].usual[0]) for change in of_inputs(result.changes)]
-        if usual:
-            said.append(f"The error includes usual errors of {listed([f'{sign} ({by})' for sign, by in usual])}.")
-        fitted = dict.fromkeys(f"{one.symbol} = {shown[one.label].prior}" for one in _beside(result))  # what is shared, once
-        if fitted:
-            said.append(f"Also fitted, within their errors: {listed([*fitted])}.")
-        if any(one.whole for one in given):
-            said.append(_sentence(f"{_alone(result)}, {listed([one.equals(one.own) for one in given])}"))
+        fits = ""
+    elif not told:
+        said.append(f"We obtain no number{fits}.")
+    if told:
+        said.append(f"The 95 % interval is {listed([one.within(one.wider or one.intervals) for one in told])}{fits}.")
+    usual = [re.split(" larger by | smaller by ", COLUMNS[change.name].usual[0]) for change in of_inputs(result.changes)]
+    if usual and any(one.wider for one in told):
+        which = "Error and interval include" if given else "The interval includes"
+        said.append(f"{which} usual errors of {listed([f'{sign} ({by})' for sign, by in usual])}.")
+    fitted = dict.fromkeys(f"{one.symbol} = {shown[one.label].prior}" for one in _beside(result))  # what is shared, once
+    if fitted and given:
+        said.append(f"Also fitted, within their errors: {listed([*fitted])}.")
+    if any(one.wider for one in told):
+        alone = [one.equals(one.own) for one in told if one.whole]
+        values = f"{listed(alone)}, and " if alone else ""
+        own = f"the 95 % interval is {listed([one.within(one.intervals) for one in told])}"
+        said.append(_sentence(f"{_alone(result)}, {values}{own}"))
+    if given:
         said += ["The error of the model is not included."] * all(one.name != "model_factor" for one in q.free)
         said += [_prose(_of_real_block(change)) for change in result.changes if change.name == "block"]
-    elif bounded:
-        every = [
-            one.equals(one.intervals[LEVELS[-1]]).replace("= above", "above").replace("= below", "below") for one in bounded
-        ]
-        said.append(f"The 95 % interval is {listed(every)}{fits}.")
-    else:
-        said.append(f"We obtain no number{fits}.")
     if len(result.given) < len(result.names):
         said += map(_sentence, _verdicts(result, shown, reasons=False))
     return POWER.sub(lambda found: f" × 10{found[1].translate(DIGITS)}", " ".join(said)).replace("< 1 × 10", "< 10")
@@ -143,9 +144,9 @@ def _model(result: "FitResult") -> str:
     body = "the two-layer slider of Braun and Scheibert (Tribology Letters, 2014)"
     if q.front.body == "block" and m.push_height is not None:
         where = "about" if m.push_width is not None else "above"
-        body = f"a block under two-dimensional elasticity, pushed on its side {where} {ends(m.push_height / m.height)} H"
+        body = f"a block under two-dimensional elasticity, pushed on its side {where} {ends(m.push_height / m.height, 4)} H"
     constants = [(getattr(m, name), *how) for name, how in CONSTANTS.items()]
-    stated = [*(f"{sign} = {ends(x * size)}{of}" for x, sign, size, of in constants if x is not None), *_held(result)]
+    stated = [*(f"{sign} = {ends(x * size, AS_GIVEN)}{of}" for x, sign, size, of in constants if x is not None), *_held(result)]
     return f"The model is {body}. We took {listed(stated)}."
 
 
@@ -163,7 +164,7 @@ def _data(result: "FitResult") -> str:
 
 
 def _held(result: "FitResult") -> list[str]:
-    return [f"{name} = {format_number(value)}" for name, value in result.parameters.held.items()]
+    return [f"{name} = {format_number(value, AS_GIVEN)}" for name, value in result.parameters.held.items()]
 
 
 def _beside(result: "FitResult") -> list[Free]:
@@ -196,6 +197,7 @@ class Shown(NamedTuple):
     own: str  # its value with the error from the data, or why there is none
     whole: str  # with the usual errors of inputs too; empty where there are none to add
     intervals: dict[float, str]  # by level
+    wider: dict[float, str]  # with these errors; empty likewise
     sides: np.ndarray  # distances of the ends of its 68 % interval from it, over its error; inf where it lacks either
 
     def in_words(self, result: "FitResult") -> str:
@@ -205,6 +207,10 @@ class Shown(NamedTuple):
     def equals(self, value: str) -> str:
         """Write ``k/λc² = value Pa/m``."""
         return f"{self.symbol} = {value} {self.unit}".rstrip()
+
+    def within(self, intervals: dict[float, str]) -> str:
+        """Write ``k/λc² = (1.89 to 2.02)e10 Pa/m``, or an end of it."""
+        return self.equals(intervals.get(LEVELS[-1], "none")).replace("= above", "above").replace("= below", "below")
 
 
 def _with_totals(result: "FitResult") -> dict[str, Shown]:
@@ -218,14 +224,8 @@ def _shown(result: "FitResult", totals: Mapping[str, tuple[float | None, Interva
     free, found = {one.label: one for one in q.free}, {}
     for name, value in (result.values | result.inputs).items():
         size, unit, prior = _unit_and_prior(result.measurements, free.get(name))
-        by_level = {
-            level: [piece._replace(low=piece.low * size, high=piece.high * size) for piece in pieces]
-            for level, pieces in result.intervals.get(name, {}).items()
-        }
-        closed = [piece.high - piece.low for pieces in by_level.values() for piece in pieces if not any(piece[2:])]
-        alone = all(len(pieces) < 2 for pieces in by_level.values())
-        digits = (value * size, min(closed, default=0.0)) if alone else ()  # those of the narrowest for all
-        texts = {level: " or ".join(interval(x, *digits) for x in pieces) or "none" for level, pieces in by_level.items()}
+        texts = _ranges(result.intervals.get(name, {}), value, size)
+        wider = _ranges(result.intervals_with_inputs.get(name, {}), value, size) if totals else {}
         every = result.intervals.get(name, {}).get(LEVELS[0], [])
         own = errors.get(name), every[0] if len(every) == 1 else None
         sides, whole = _sides(value, *own), ""
@@ -234,8 +234,20 @@ def _shown(result: "FitResult", totals: Mapping[str, tuple[float | None, Interva
             uneven = uneven or np.abs(_sides(value, *totals[name]) - 1).max() > UNEVEN_TOTAL
             whole = _with_error(result, name, value, size, *totals[name], uneven=uneven)
         by_data = _with_error(result, name, value, size, *own, uneven=uneven)
-        found[name] = Shown(symbols.get(name, "k/K"), unit, size, prior, by_data, whole, texts, sides)
+        found[name] = Shown(symbols.get(name, "k/K"), unit, size, prior, by_data, whole, texts, wider, sides)
     return found
+
+
+def _ranges(intervals: Intervals, value: float, size: float) -> dict[float, str]:
+    """Write intervals by level, in a unit of some `size`."""
+    by_level = {
+        level: [piece._replace(low=piece.low * size, high=piece.high * size) for piece in pieces]
+        for level, pieces in intervals.items()
+    }
+    closed = [piece.high - piece.low for pieces in by_level.values() for piece in pieces if not any(piece[2:])]
+    alone = all(len(pieces) < 2 for pieces in by_level.values())
+    digits = (value * size, min(closed, default=0.0)) if alone else ()  # those of the narrowest for all
+    return {level: " or ".join(interval(x, *digits) for x in pieces) or "none" for level, pieces in by_level.items()}
 
 
 def _symbols(result: "FitResult") -> dict[str, str]:
@@ -254,7 +266,7 @@ def _symbols(result: "FitResult") -> dict[str, str]:
 def _unit_and_prior(m: Measurements, one: Free | None) -> tuple[float, str, str]:
     """Factor, unit and prior of a parameter; none for k/K.
 
-    In the unit of the table for heights and an offset.
+    In the unit of the table for lengths and forces.
     """
     if one is None:
         return 1.0, "", ""
@@ -262,6 +274,8 @@ def _unit_and_prior(m: Measurements, one: Free | None) -> tuple[float, str, str]
     if unit == "m" and one.name != "correlation_length":
         unit = m.unit[1]
         size = 1 / UNITS_OF_LENGTH[unit]
+    if unit == "N/m":
+        (size, *_), unit = m.unit_of_force
     error = one.prior_sigma * size * (mean if one.log else 1)
     return size, unit, f"{value_with_error(mean * size, error)} {unit}".rstrip() if math.isfinite(error) else ""
 
@@ -295,10 +309,19 @@ def html_of(result: "FitResult") -> str:
     """Format values, intervals and verdict as a table for a notebook."""
     shown, m = _with_totals(result), result.measurements
     rows = [
-        (one.symbol, one.whole or one.own, one.own, *(one.intervals.get(level, "") for level in LEVELS), one.unit)
+        (one.symbol, one.whole or one.own, *(one.wider.get(level, "") for level in LEVELS))
+        + (one.own, *(one.intervals.get(level, "") for level in LEVELS), one.unit)
         for one in map(shown.__getitem__, result.values)
     ]
-    heads = ("", "total error", _alone(result), *(f"{level:.0%} interval" for level in LEVELS), "unit")
+    levels, alone = [f"{level:.0%} interval" for level in LEVELS], _alone(result)
+    heads = (
+        "",
+        "total error",
+        *(f"{level}, total" for level in levels),
+        alone,
+        *(f"{level}, {alone}" for level in levels),
+        "unit",
+    )
     below = [result.reason, f"{plural(len(m), 'length')} of {m.source}", _quality(result), "report() says more"]
     return html(f"Result: {result.identifiability.value}", rows, heads, "; ".join(text for text in below if text))
 
@@ -343,17 +366,19 @@ def _folded(text: str, width: int) -> list[str]:
 
 def _values(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
     """Tabulate values and ratios of specimens, with both errors."""
-    rows = [["", "total error", _alone(result), "95 % interval" + " (simulated)" * result.calibrated]]
+    level, alone, simulated = LEVELS[-1], _alone(result), " (simulated)" * result.calibrated
+    own = "95 %, these only" if any(shown[name].wider for name in result.names) else "95 % interval"
+    rows = [["", "total error", "95 %, total", alone, own + simulated]]
     for one in (shown[name] for name in result.names):
         symbol = one.symbol + f" ({one.unit})" * bool(one.unit)
-        rows.append([symbol, one.whole, one.own, one.intervals.get(LEVELS[-1], "none")])
+        rows.append([symbol, one.whole, one.wider.get(level, ""), one.own, one.intervals.get(level, "none")])
     added = of_inputs(result.changes)
     ratios = {labels: found for labels, found in result.stiffness_ratios.items() if found[1] is not None}
     for labels, found in ratios.items():
         if len(ratios) <= MOST_RATIOS or labels[1] == result.names[0]:  # of many specimens, only those to the first
             above, below = (label.partition("[")[2][:-1] for label in labels)
             whole = value_with_error(found[0], result.totals_of_ratios[labels]) if added else ""
-            rows.append([f"{above} over {below}", whole, value_with_error(*found), ""])
+            rows.append([f"{above} over {below}", whole, "", value_with_error(*found), ""])
     kept = [i for i in range(len(rows[0])) if i == 0 or any(row[i] for row in rows[1:])]
     return _aligned([[row[i] for i in kept] for row in rows], str.ljust, indent="")
 
@@ -402,6 +427,8 @@ def _holds_for(result: "FitResult") -> Iterator[str]:
                 f"guessed: k_n/k = {USUAL_NORMAL_STIFFNESS:g}, as no normal_stiffness is stated; at {NORMAL[0]:g} or "
                 f"{NORMAL[1]:g} {would if factors else 'no stiffness fits'}"
             )
+    if m.is_sequence and m.push_width is None:
+        yield f"guessed: the pusher covers the whole side above the push, as no push_width{f'_{unit}' * m.in_si} is stated"
     if q.held:
         yield "held: " + ", ".join(_held(result))
 
@@ -438,7 +465,8 @@ def _quality(result: "FitResult") -> str:
     if result.p_value is None and result.dof > 0:
         fits += f", with {degrees} of freedom"
     elif result.p_value is None:
-        why = "one length cannot test the model" if len(m) == 1 else "the model cannot be tested"
+        one = f"one {'force' if m.is_sequence else 'length'} cannot test the model"
+        why = one if len(m) == 1 else "the model cannot be tested"
         fits += f" with no degree of freedom, so {why}"
     enlarged = m.is_sequence or result.between_contacts is not None
     used = ", with σ enlarged (see the remarks)" if enlarged else ", with σ as given"
@@ -467,7 +495,7 @@ def _constants(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
         if stated is None or not all(shown[one.label].prior for one in own):
             continue  # a parameter without a prior is a result
         if not own:
-            yield f"{sign} = {ends(stated * size, 4)}{unit}"
+            yield f"{sign} = {ends(stated * size, AS_GIVEN)}{unit}"
             continue
         theta, error = np.array([(one.prior_mean, one.prior_sigma) for one in own]).T
         if covariance is not None:
@@ -783,7 +811,9 @@ def _of_data(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
 
 def _of_sigma(result: "FitResult") -> Iterator[str]:
     m = result.measurements
-    if m.length_sigma is None:
+    if m.length_sigma is None and m.is_sequence:
+        yield "no standard errors of lengths were given: places count as exact, and no first length is fitted"
+    elif m.length_sigma is None:
         yield "no standard errors were given; equal ones are assumed, as large as the scatter about the fit"
     elif result.scaled:
         yield f"the stated σ are taken as relative, and scaled by {result.scatter:.3g} to the scatter about the fit"
@@ -884,8 +914,13 @@ def _of_model(result: "FitResult") -> Iterator[str]:
             "σ of every force contains the error of its place, and the spread of single series about their trend"
             f"{of_model}{taken}; neighbours err together, so χ² is not the sum of these squares"
         )
-        if m.machine_stiffness is None:
-            yield "not included: compliant machine (column machine_stiffness), ageing contacts (newborn, time_constant)"
+        yield from _of_events(m, front)
+        known = {one.name for one in result.parameters.free} | {*result.parameters.held}
+        left_out = ["compliant machine (column machine_stiffness)"] * (m.machine_stiffness is None)
+        left_out += ["ageing contacts (newborn, time_constant)"] * ("newborn" not in known)
+        yield from [f"not included: {', '.join(left_out)}"] * bool(left_out)
+        if "newborn" in known and "time_constant" not in known:
+            yield "assumed: contacts age over τ = 1 u_s, as time_constant is neither fitted nor held"
         return
     if front.event == "domino" and result.fitted.max() >= MOST_CONTACTS:
         yield f"not included: block end, compliant machine; fronts of more than {MOST_CONTACTS:g} contacts take long"
@@ -906,3 +941,18 @@ def _of_model(result: "FitResult") -> Iterator[str]:
             f"{int(short.sum())} of {len(m)} blocks are shorter than {END:g}/κ₂ (the shortest {np.nanmin(ratio):.2g}/κ₂); the "
             "lengths depend on the far end, taken to be free"
         )
+
+
+def _of_events(m: Measurements, front: BlockSequence) -> Iterator[str]:
+    """Say where numbers of events are not those of a whole record."""
+    for group in range(len(front.clouds)) if m.event is not None else ():
+        rows = np.flatnonzero(front.group == group)
+        event, order = m.or_zero("event")[rows], rows[np.argsort(m.or_zero("event")[rows])]
+        named = f" of sequence {m.sequence[rows[0]]}" if m.sequence else ""
+        if event.min() > 1 and (front.error[rows] > 0).any():
+            yield f"there is no event 1{named}: its first length is not known, and not fitted"
+        if (np.diff(event) < 0).any():
+            yield f"events{named} are taken in the order of their numbers, which is not that of the table"
+        before = np.maximum.accumulate(m.length[order])[:-1]
+        for i in order[1:][m.length[order][1:] <= before]:
+            yield f"{m.place(i)}: event {m.or_zero('event')[i]:g} gets no farther than one before, and is no record"

@@ -14,7 +14,7 @@ from slippulse_jax.inference.model.fronts import Regime
 from slippulse_jax.inference.model.parameters import STIFFNESSES, ParameterSet
 from slippulse_jax.inference.result import predicted, record, samples
 from slippulse_jax.inference.result import report as printer
-from slippulse_jax.inference.result.changes import find_changes, suggestions, total, total_interval, total_of_ratio
+from slippulse_jax.inference.result.changes import find_changes, suggestions, total, total_intervals, total_of_ratio
 from slippulse_jax.inference.result.verdict import GIVEN, GRAVITY, Identifiability, Verdict, directions
 from slippulse_jax.inference.search.intervals import LEVELS, Interval, Intervals, rise_of
 from slippulse_jax.inference.search.likelihood import Problem
@@ -313,8 +313,16 @@ class FitResult:
 
         Those of the inputs taken as exact (`changes`); None where there is none.
         """
-        known = {name: total_interval(self, name, self.changes) if name in self.given else None for name in self.names}
-        return {name: (total(self, name, self.changes), piece) for name, piece in known.items()}
+        known = {name: self.intervals_with_inputs.get(name, {}).get(LEVELS[0], []) for name in self.names}
+        return {
+            name: (total(self, name, self.changes), pieces[0] if len(pieces) == 1 and not any(pieces[0][2:]) else None)
+            for name, pieces in known.items()
+        }
+
+    @functools.cached_property
+    def intervals_with_inputs(self) -> dict[str, Intervals]:
+        """The intervals, widened by usual errors of the inputs taken as exact."""
+        return {name: total_intervals(self, name, self.changes) for name in self.moved}
 
     @functools.cached_property
     def totals_of_ratios(self) -> dict[tuple[str, str], float | None]:

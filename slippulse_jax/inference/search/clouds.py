@@ -17,7 +17,7 @@ from slippulse_jax.domains import check_choice, check_domain
 from slippulse_jax.inference.model.fronts import BlockSequence
 from slippulse_jax.inference.model.inputs import COMMON
 from slippulse_jax.inference.model.parameters import PARAMETERS, Free, ParameterSet
-from slippulse_jax.inference.model.sequence import UNITS
+from slippulse_jax.inference.model.sequence import GEOMETRY, UNITS
 from slippulse_jax.inference.search.likelihood import Problem
 from slippulse_jax.inference.search.minima import Curve, describe
 from slippulse_jax.inference.search.minimise import minimise
@@ -36,6 +36,8 @@ LARGEST_ERROR = 0.2
 """Largest error of the model, in μF_N, that is taken from data."""
 MEMBERS, GENERATIONS, FACTOR = 48, 3, 0.7
 """Series that evolve together, generations for every parameter beyond two, and the factor of differences between them."""
+OF_BLOCK = {*GEOMETRY, "log_height", "log_sites"}
+"""Inputs on which the elastic block depends."""
 TURNS = 2
 """Turns in which a minimum and the errors there are fitted to each other."""
 
@@ -56,9 +58,9 @@ def gathered(problem: Problem, seed: int, model_error: float | str | None = None
     if problem.loss != "normal":
         raise ValueError(f"loss = {problem.loss!r}: forces of a sequence err together, so that none can count less alone")
     units, random = np.array([_unit(one) for one in q.free]), np.random.default_rng(seed)
-    known = _scan(problem, seed)
+    known = _within(q, _scan(problem, seed), units)
     front.follow(q.inputs.at(known))
-    more = _rescaled(stated, known)
+    more = _within(q, _rescaled(stated, known), units)
     if len(more):
         front.follow(q.inputs.at(more))
     known = _evolved(stated, np.concatenate([known, more]), units, random)
@@ -188,8 +190,8 @@ def _evolved(problem: Problem, known: np.ndarray, units: np.ndarray, random: np.
     for _ in range(GENERATIONS * (problem.p - 2)):
         here = known[member]
         step = FACTOR * (random.permutation(here) - random.permutation(here)) + random.uniform(-0.5, 0.5, here.shape) * units
-        front.follow(q.inputs.at(np.clip(here + step, q.low, q.high)))
-        known = np.concatenate([known, np.clip(here + step, q.low, q.high)])
+        front.follow(q.inputs.at(step := _within(q, here + step, units)))
+        known = np.concatenate([known, step])
         deviance = _raw(problem, known)
         born = len(known) - len(member) + np.arange(len(member))
         member = np.where(deviance[born] < deviance[member], born, member)
@@ -215,7 +217,7 @@ def _rescaled(problem: Problem, known: np.ndarray) -> np.ndarray:
     for data in problem.observed[1:]:
         off = off + np.abs(problem.predict(known, data.observable) - data.value[0]).sum(axis=1) / len(forces)
     off = np.where(np.isfinite(off), off, np.inf)
-    return np.clip(moved[np.argsort(off, kind="stable")[:RESCALED]], q.low, q.high)
+    return moved[np.argsort(off, kind="stable")[:RESCALED]]
 
 
 def _unit(one: Free) -> float:
@@ -248,4 +250,14 @@ def _cloud(
     """Points about a minimum, over its errors and the least half-widths."""
     size = 6 * len(centre) + 6
     draws = random.multivariate_normal(np.zeros(len(centre)), covariance, size, method="eigh") * radius / 2
-    return np.clip(centre + draws + random.uniform(-1, 1, draws.shape) * units, q.low, q.high)
+    return _within(q, centre + draws + random.uniform(-1, 1, draws.shape) * units, units)
+
+
+def _within(q: ParameterSet, theta: np.ndarray, units: np.ndarray) -> np.ndarray:
+    """Points in the range searched, on few elastic blocks.
+
+    These differ by whole units: the response of one takes as long as many series on it.
+    """
+    of_block = np.array([bool(OF_BLOCK & PARAMETERS[one.name].acts.keys()) for one in q.free])
+    middle = (q.low + q.high) / 2
+    return np.clip(np.where(of_block, middle + np.round((theta - middle) / units) * units, theta), q.low, q.high)

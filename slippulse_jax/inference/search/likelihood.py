@@ -636,7 +636,7 @@ def _observations(
     given = [inputs.get(name) for name in inputs.names]
     key = np.concatenate([np.column_stack([one.base, one.slope]) for one in given], axis=1)
     _, first, own = np.unique(key, axis=0, return_index=True, return_inverse=True)
-    none = Linear(np.zeros(n), np.zeros((n, len(q.free))))
+    none, added = Linear(np.zeros(n), np.zeros((n, len(q.free)))), {"length": "offset", "force": "force_offset"}
     return Observations(
         kind=np.full(n, "length") if kind is None else kind,
         value=value[None],
@@ -647,7 +647,7 @@ def _observations(
         inputs=inputs.take(first),
         rows=own.ravel(),
         scale=q.scales[observable][rows],
-        offset=q.scales["offset"] if observable == "length" else none,
+        offset=q.scales[added[observable]][rows] if observable in added else none,
     )
 
 
@@ -661,7 +661,7 @@ def _of_sequences(m: Measurements, q: ParameterSet, front: BlockSequence) -> lis
     assert m.block_length is not None
     inputs, first, n, sigma = q.inputs, front.first, len(m), m.force_sigma
     forces = _observations(q, "length", np.arange(n), m.force, sigma, inputs)
-    found = [forces._replace(scale=q.scales["reach"], offset=Linear(np.zeros(n), np.zeros((n, len(q.free)))))]
+    found = [forces._replace(scale=q.scales["reach"], offset=q.scales["force_offset"])]
     if len(first) and m.length_sigma is not None:
         own = inputs.take(first).given(datum=Linear(n + first.astype(float), np.zeros((len(first), len(q.free)))))
         value, error = np.log(m.length[first] / m.block_length[first]), m.length_sigma[first] / m.length[first]

@@ -108,7 +108,8 @@ class Column(NamedTuple):
         The nearest by factors of 1000. The value is in SI, by the unit in which the `name` of its column ends.
         """
         likely = likely or self.likely
-        units = {"per cent": 1e-2} if not self.unit else UNITS_OF_MODULUS if self.unit in UNITS_OF_MODULUS else UNITS_OF_LENGTH
+        units = UNITS_OF_MODULUS if self.unit in UNITS_OF_MODULUS else UNITS_OF_LENGTH if self.unit in UNITS_OF_LENGTH else {}
+        units = units or ({} if self.unit else {"per cent": 1e-2})
         own = units.get(name.rpartition("_")[2], 1.0)
         others = {unit: size / own for unit, size in units.items() if unit.isascii() and size != own}
         found = [unit for unit, size in others.items() if likely is not None and likely.holds(value * size)]
@@ -173,6 +174,12 @@ _ROWS = (
     Column("block_width", "mm", None, WIDTH, "Width of the block, by which the stiffness of the machine, and forces in N, are "
            "divided", may_be_blank=True),
     Column("height_sigma", "mm", "λc", ERROR),
+    Column("block_length_sigma", "mm", "λc", ERROR, may_be_blank=True),
+    Column("push_width_sigma", "mm", "λc", ERROR, may_be_blank=True),
+    Column("normal_stiffness_sigma", "", "", ERROR),
+    Column("machine_stiffness_sigma", "N_per_m", "E", ERROR, may_be_blank=True),
+    Column("block_width_sigma", "mm", None, ERROR, may_be_blank=True),
+    Column("normal_load_sigma", "N", None, ERROR),
     Column("poisson_sigma", "", "", ERROR),
     Column("correlation_length_sigma", "um", None, ERROR),
     Column("young_sigma", "GPa", None, ERROR),
@@ -182,10 +189,11 @@ _ROWS = (
            needs="displacement_sigma young"),
     Column("displacement_sigma", "um", None, ERROR_OF_READING, may_be_blank=True),
     Column("force", "N_per_mm", None, FORCE, "Driving force at nucleation, per width of the block; of a block that is pushed "
-           "at a height that of any event, as a sequence (docs/fit/sequence.md)", may_be_blank=True, needs="force_sigma young"),
+           "at a height that of any event, as a sequence (docs/fit/sequence.md)", may_be_blank=True, needs="force_sigma young",
+           usual=("every force larger by 1 %", math.log(1.01), -math.log(1.01))),
     Column("force_sigma", "N_per_mm", None, ERROR_OF_READING, may_be_blank=True),
     Column("normal_load", "N", None, FORCE, "Force that presses the block on the track; per width as an array",
-           needs="force push_height"),
+           needs="force push_height", usual=("F_N larger by 1 %", math.log(1.01), -math.log(1.01))),
     Column("event", "", "", EVENT, "Number of the event in its sequence, the first 1; without it `length` is a place, and "
            "`force` that at which the front first reached it", needs="force"),
     Column("kind", says="How the length was measured; `whole` counts contacts, so that the length lies within one below; past "
@@ -301,8 +309,8 @@ def named(header: Sequence[str], where: str) -> Named:
         if missing == ["correlation_length_um"]:
             expected = "a guess where λc is not known, such as 10, with correlation_length_sigma_um (docs/fit/own_csv.md)"
         raise MeasurementError(f"{where}: no column {', '.join(missing)} among {', '.join(header)}; expected {expected}")
-    whole = [own for own, (column, _) in known.items() if own.endswith("_N") or column.quantity == "machine_stiffness"]
-    of_width = [own for own, (column, _) in known.items() if column.quantity == "block_width"]
+    whole = [own for own, (column, _) in known.items() if own.endswith("_N") or column.value == "machine_stiffness"]
+    of_width = [own for own, (column, _) in known.items() if column.value == "block_width"]
     if si and bool(whole) != bool(of_width):
         missed = COLUMNS["block_width" if whole else "machine_stiffness"].name(in_si=True)
         raise MeasurementError(
@@ -451,6 +459,10 @@ def _faults(values: Mapping[str, Any]) -> Iterator[Fault]:
             yield name, np.isfinite(x) & ~column.domain.holds(x), column.domain.requirement
         elif column.choices:
             yield name, [text not in column.choices for text in x], f"one of {', '.join(filter(None, column.choices))}"
+        elif name == "sequence" and any(x):
+            yield name, [not text for text in x], "missing: name the run of every event, or of none"
+    if "event" in values:
+        yield "event", values["event"] % 1 != 0, "events are numbered by whole numbers"
     if "length" in values:
         yield from _faults_of_length(values)
         yield from _faults_of_push(values)

@@ -84,7 +84,7 @@ def read(table: Table, find: Callable[[list[str], str], Named]) -> dict[str, Any
     other = {own: column for own, column in cells.items() if own not in known}
     if "block_width" in values:
         for name in values:
-            if name == "machine_stiffness" or of_numbers[name].endswith("_N"):
+            if name.startswith("machine_stiffness") or of_numbers[name].endswith("_N"):
                 values[name] = values[name] / values["block_width"]
     found = {**values, **texts, f"{table.counted}s": numbers, "source": table.name, "other": other, "columns": of_numbers}
     return {**found, "skipped": tuple(table.skipped)}
