@@ -3,7 +3,8 @@
 import math
 import os
 import secrets
-from contextlib import suppress
+import sys
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +13,26 @@ FIGURE_FORMATS = ("png", "pdf", "svg")
 
 
 def read_whole(path: str | os.PathLike[str], largest: int) -> bytes:
-    """Read a file of at most `largest` bytes, a multiple of 2²⁰; a larger one is a ValueError, without reading it whole."""
+    """Read a file of at most `largest` bytes, a multiple of 2²⁰; a larger one is a ValueError, without reading it whole.
+
+    The path ``-`` is standard input.
+    """
     parts, size = [], 0
-    with open(path, "rb") as file:
+    with nullcontext(sys.stdin.buffer) if os.fspath(path) == "-" else open(path, "rb") as file:
         while part := file.read(2**16):
             parts.append(part)
             size += len(part)
             if size > largest:
-                raise ValueError(f"{os.fspath(path)}: larger than {largest >> 20} MiB, the most that is read")
+                raise ValueError(f"{file_name(path)}: larger than {largest >> 20} MiB, the most that is read")
     return b"".join(parts)
+
+
+def file_name(path: str | os.PathLike[str]) -> str:
+    """What messages call a file that is read; a ValueError for a text in place of its name."""
+    name = os.fspath(path)
+    if len(lines := name.splitlines()) > 1 and not os.path.exists(path):
+        raise ValueError(f"{lines[0]!r} …: a text, and no file's name; give its file, or pandas.read_csv(io.StringIO(text))")
+    return "standard input" if name == "-" else name
 
 
 def write_atomically(path: str | os.PathLike[str], content: bytes) -> None:

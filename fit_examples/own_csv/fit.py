@@ -14,7 +14,7 @@ def main(table: str | Path = TABLE, figure: str | Path | None = None) -> FitResu
     result = sp.fit(sp.read_measurements(table))
     print(result.report())
     if figure is not None:
-        sp.plot.fit(result).savefig(figure)
+        sp.plot.save(sp.plot.fit(result), figure)
     assert result.converged
     return result
 

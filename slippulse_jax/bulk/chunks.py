@@ -26,7 +26,7 @@ from jax import lax
 from jax.stages import Compiled
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.bulk.compiler import compiled, local_devices
+from slippulse_jax.bulk.compiler import check_jit, compiled, local_devices
 from slippulse_jax.bulk.process import check_process
 
 Kernel = Callable[[Float[Array, "fields lanes"]], tuple[Array, ...]]
@@ -76,6 +76,7 @@ def over_lanes(kernel: Kernel, lanes: Lanes, layout: Layout = DEFAULT_LAYOUT, ra
     anew at every call, which costs as much as the arithmetic on them.
     """
     check_process()
+    check_jit()
     count, fields = len(lanes[0]), len(lanes)
     devices = local_devices(cpu=layout.chunk == 1)
     in_step = devices[0].platform != "cpu" and layout.chunk > 1

@@ -106,6 +106,15 @@ def in_full(f: F) -> F:
     return cast(F, traced)
 
 
+def check_jit() -> None:
+    """Check that JAX compiles, as all that is computed in bulk needs; a RuntimeError says how."""
+    if jax.config.jax_disable_jit:  # pyright: ignore[reportAttributeAccessIssue]
+        raise RuntimeError(
+            "jax_disable_jit is set (JAX_DISABLE_JIT), and this package needs jit for fits, sweeps and lengths in bulk: unset "
+            "it, or compute inside `with jax.disable_jit(False):`"
+        )
+
+
 def compiled(f: Callable, *shapes: jax.ShapeDtypeStruct, device: Any, fusion_emitters: bool, named: Any = None) -> Compiled:
     """Compile `f` for one device in double precision; on a CPU with `OPTIONS`, if this jaxlib takes them.
 

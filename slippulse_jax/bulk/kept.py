@@ -26,10 +26,12 @@ import numpy as np
 from jax.experimental import serialize_executable
 from jax.stages import Compiled, Lowered
 
-from slippulse_jax.files import write_atomically
+from slippulse_jax.files import read_whole, write_atomically
 
 FOLDER = "SLIPPULSE_PROGRAMS"
 """Environment variable that names the folder; ``slippulse`` sets it to one in the user's cache."""
+LARGEST = 256 * 2**20
+"""Bytes of the largest program that is read: real ones have a few million."""
 LIBRARIES = "stablehlo.custom_call"
 """What a lowered program has where it calls a library, or Python."""
 LIMIT = "jax_persistent_cache_min_compile_time_secs"
@@ -50,7 +52,7 @@ def kept(
     path = _file(device, *what, [(x.shape, str(x.dtype)) for x in shapes])
     if path is not None:
         with suppress(Exception):
-            digest, results, content = path.read_bytes().split(b"\n", 2)
+            digest, results, content = read_whole(path, LARGEST).split(b"\n", 2)
             if digest == _digest(path.name, content):  # XLA may crash on a damaged one
                 return _tried(content, shapes, int(results), device)
         with suppress(OSError):

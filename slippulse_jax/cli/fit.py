@@ -7,12 +7,23 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import slippulse_jax
-from slippulse_jax.cli.shared import NOT_CONVERGED, Grouped, as_json, choice, figure_path, print_json, refuse, save_figure
+from slippulse_jax.cli.shared import (
+    NOT_CONVERGED,
+    Grouped,
+    as_json,
+    choice,
+    figure_path,
+    number,
+    print_json,
+    refuse,
+    save_figure,
+)
 from slippulse_jax.inference.choices import Body, IntervalsBy, Loss, MeasuredEvent, Method, Sigma, Template
 from slippulse_jax.keywords import did_you_mean
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.fit import FitResult
+    from slippulse_jax.inference.table.measurements import Measurements
 
 
 def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, list[float]]:
@@ -21,7 +32,7 @@ def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ..
     for text in values:
         name, _, numbers = text.partition("=")
         try:
-            found[name.strip()] = [float(x) for x in numbers.split(",")]
+            found[name.strip()] = [number(x) for x in numbers.split(",")]
         except ValueError:
             raise click.BadParameter(f"{text!r}: NAME=NUMBER or NAME=NUMBER,NUMBER", ctx, parameter) from None
     return found
@@ -30,7 +41,7 @@ def _pairs(ctx: click.Context, parameter: click.Parameter, values: tuple[str, ..
 def _error(ctx: click.Context, parameter: click.Parameter, text: str | None) -> float | str | None:
     """A number, or a word that `fit` understands."""
     try:
-        return text if text is None else float(text)
+        return text if text is None else number(text)
     except ValueError:
         return text
 
@@ -102,7 +113,12 @@ def _example(ctx: click.Context, parameter: click.Parameter, name: str | None) -
 @click.option("--example", callback=_example, metavar="NAME", help="Fit the table of a worked fit, such as pmma_block.")
 @click.option("--gauges", metavar="GAUGES.CSV", help="Fit slip and stress along the interface after arrest too.")
 @click.option("--request", metavar="FILE", help="Read parameters and settings from TOML, or from a fit's JSON.")
-@click.option("--free", multiple=True, metavar="NAME", help="Fit this parameter; repeat for several. Stiffness by default.")
+@click.option(
+    "--free",
+    multiple=True,
+    metavar="NAME",
+    help="Fit this parameter; repeat for several. By default stiffness, and friction if needed.",
+)
 @click.option(
     "--bounds", type=float, nargs=2, metavar="LOW HIGH", help="Stiffness range: Pa/m in SI, 1/m without young_GPa, else k/K."
 )
@@ -157,7 +173,8 @@ def _example(ctx: click.Context, parameter: click.Parameter, name: str | None) -
 def command(ctx: click.Context, csv: str | None, example: Path | None, **options: Any) -> None:
     """Fit the interface stiffness to measured precursor lengths.
 
-    LENGTHS.CSV has one precursor per line, or one event of a sequence, and units in its column names. Readings of gauges need
+    LENGTHS.CSV, or - for standard input, has one precursor per line, or one event of a sequence, and units in its column
+    names. Readings of gauges need
     --free stiffness --free strength. A request has [parameters.poisson] prior = [0.3, 0.02], and loss, sigma, method, seed,
     max_steps; options are added to it.
 
@@ -172,7 +189,7 @@ def command(ctx: click.Context, csv: str | None, example: Path | None, **options
     try:
         request = read_request(options["request"]) if options["request"] else {}
         measurements = read_measurements(table, gauges=options["gauges"])
-        settings = from_request(_with_options(request, options))
+        settings = from_request(_with_options(request, options, measurements))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", MeasurementWarning)
             result = fit(measurements, bounds=options["bounds"] or None, **settings)
@@ -237,15 +254,14 @@ def _check(options: dict[str, Any]) -> None:
             raise click.UsageError(f"--{name} adds to the report, and --json prints none: give one of them")
 
 
-def _with_options(request: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:
+def _with_options(request: dict[str, Any], options: dict[str, Any], m: "Measurements") -> dict[str, Any]:
     """Add the options to the request."""
+    from slippulse_jax.inference.model.parameters import default_free
     from slippulse_jax.inference.result.record import SETTINGS
 
     parameters = {name: dict(settings) for name, settings in request.get("parameters", {}).items()}
-    for name in options["free"]:
+    for name in options["free"] or (() if parameters else default_free(m, options["fix"])):
         parameters.setdefault(name, {})
-    if not parameters:
-        parameters["stiffness"] = {}
     for name, values in options["fix"].items():
         if len(values) != 1:
             raise ValueError(f"--fix {name}: one value is needed")

@@ -91,10 +91,18 @@ def main() -> None:
         click.echo(f"Error: {error}", err=True)
         sys.exit(FAILURE)
     except (MemoryError, RuntimeError) as error:
-        if not isinstance(error, MemoryError) and not str(error).startswith("RESOURCE_EXHAUSTED"):  # as XLA reports it
-            raise
-        click.echo(f"Error: not enough memory ({error}); a sweep with --store needs it for a few chunks only", err=True)
+        click.echo(f"Error: {_in_words(error)}", err=True)
         sys.exit(FAILURE)
+
+
+def _in_words(error: MemoryError | RuntimeError) -> str:
+    """Word a failure of the machine, or of a setting; raise others."""
+    said = str(error)
+    if isinstance(error, MemoryError) or said.startswith("RESOURCE_EXHAUSTED"):  # as XLA reports it
+        return f"not enough memory ({said}); a sweep with --store needs it for a few chunks only"
+    if said.startswith("jax_disable_jit"):  # as `check_jit` reports it
+        return said
+    raise error
 
 
 def _show(warning: Warning | str, *_: Any) -> None:

@@ -1,6 +1,5 @@
 """Shared by the commands: JSON, errors, figures."""
 
-import io
 import json
 import os
 import signal
@@ -51,6 +50,19 @@ class Grouped(click.Command):
         super().__init__(*args, **kwargs)
         self.groups = groups
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Read the options; what tables refuse as a number is none here."""
+        given = self.make_parser(ctx).parse_args(args=list(args))[0]
+        for one in self.params:
+            written = given.get(one.name or "", ())
+            for text in written if isinstance(written, tuple) else (written,):
+                if isinstance(one.type, click.types.FloatParamType | click.types.IntParamType) and isinstance(text, str):
+                    try:
+                        number(text)
+                    except ValueError as error:
+                        raise click.BadParameter(str(error), ctx, one) from None
+        return super().parse_args(ctx, args)
+
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the options, their texts below each other in all groups."""
         records = {
@@ -62,6 +74,21 @@ class Grouped(click.Command):
                     [(f"{one[0]:<{WIDTH_OF_NAMES}}", one[1]) for name in names.split() if (one := records[name])],
                     col_max=WIDTH_OF_NAMES,
                 )
+
+
+def number(text: str) -> float:
+    """Read a number as tables write it, ``2_5`` being none."""
+    from slippulse_jax.inference.table.columns import NUMBER
+
+    if not NUMBER.fullmatch(text.strip()):
+        raise ValueError(f"{text!r} is not a number")
+    return float(text)
+
+
+def whole(text: str) -> int:
+    """Read a whole number likewise."""
+    number(text)
+    return int(text)
 
 
 WIDTH_OF_NAMES = 28
@@ -80,9 +107,9 @@ class Values(click.ParamType):
         parts = str(value).split(":")
         try:
             if len(parts) == 1:
-                numbers = [float(x) for x in parts[0].split(",")]
+                numbers = [number(x) for x in parts[0].split(",")]
                 return np.array(numbers[0] if len(numbers) == 1 else numbers)
-            first, last, count = float(parts[0]), float(parts[1]), int(parts[2])
+            first, last, count = *map(number, parts[:2]), whole(parts[2])
             if count > MOST_VALUES:
                 self.fail(f"{value!r}: more than {MOST_VALUES} values", param, ctx)
             if parts[3:] == ["log"] and min(first, last) <= 0:
@@ -226,6 +253,9 @@ def output_path(*formats: str) -> Callable[[click.Context, click.Parameter, str 
             raise click.BadParameter(f"{value}: is a folder", ctx, parameter)
         if path.suffix == ".nc" and find_spec("h5netcdf") is None:
             raise click.BadParameter(f"{value}: needs h5netcdf; pip install 'slippulse_jax[netcdf]'", ctx, parameter)
+        other = ctx.meta.setdefault(f"{__name__}.{path.resolve()}", parameter)
+        if other is not parameter:
+            raise click.BadParameter(f"{value}: is the file of {other.opts[-1]} too", ctx, parameter)
         return path
 
     return check
@@ -235,10 +265,8 @@ figure_path, table_path, page_path = output_path(*FIGURE_FORMATS), output_path("
 
 
 def save_figure(figure: "Figure", path: Path) -> None:
-    """Write a figure in the format of its suffix, atomically."""
-    from slippulse_jax.files import write_atomically
+    """Write a figure, and say where."""
+    from slippulse_jax.plot.style import save
 
-    content = io.BytesIO()
-    figure.savefig(content, format=path.suffix.lstrip(".").lower(), dpi=200)
-    write_atomically(path, content.getvalue())
+    save(figure, path, dpi=200)
     click.echo(f"figure written to {path}", err=True)

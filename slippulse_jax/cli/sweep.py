@@ -22,6 +22,7 @@ from slippulse_jax.cli.shared import (
     right_end,
     save_figure,
     table_path,
+    whole,
 )
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ def _pair(ctx: click.Context, parameter: click.Parameter, value: str | None) -> 
     if value is None:
         return None
     try:
-        index, count = (int(x) for x in value.split("/"))
+        index, count = map(whole, value.split("/"))
     except ValueError:
         raise click.BadParameter(f"{value!r} is not index/number, such as 0/4", ctx, parameter) from None
     return index, count

@@ -66,7 +66,7 @@ SOFTER = 17  # starts below a stiffness at which a contact breaks again
 
 def fit(
     measurements: "Measurements | pd.DataFrame | str | os.PathLike[str]",
-    free: str | Parameter | Sequence[str | Parameter] = ("stiffness",),
+    free: str | Parameter | Sequence[str | Parameter] | None = None,
     *,
     bounds: tuple[float, float] | None = None,
     fixed: Mapping[str, float] | None = None,
@@ -91,8 +91,9 @@ def fit(
     ----------
     measurements : Measurements, pandas.DataFrame or path
         From `read_measurements`, or built from arrays; or a table with the columns of `read_measurements`, or its CSV file.
-    free : sequence of str or Parameter
-        Parameters to fit, by the names of `slippulse_jax.inference.model.parameters.PARAMETERS`. "stiffness" is k/K where
+    free : str, Parameter, or sequence of them, optional
+        Parameters to fit, by the names of `slippulse_jax.inference.model.parameters.PARAMETERS`. By default the stiffness, and
+        of a sequence friction and normal load where the table does not state them. "stiffness" is k/K where
         lengths are in λc, the areal stiffness k/λc² where they are in SI. A `Parameter` adds bounds, a prior, one value per
         specimen. Inputs that come with an error of their own are fitted beside them, with that error as prior; beside lengths
         of provenance "measured" also a "model_factor" and, where they have σ, an "offset" (`with_errors_of_measuring`), unless
@@ -147,7 +148,8 @@ def fit(
         Where a column seems to be in another unit than its name says, or two to be exchanged.
     """
     arguments = locals().copy()
-    measurements, wanted = measurements_of(measurements), wanted_parameters(free, bounds, fixed)
+    measurements = measurements_of(measurements)
+    wanted = wanted_parameters(measurements, free, bounds, fixed)
     suspected = suspicions(measurements, wanted)
     for mistake in suspected:
         warnings.warn(mistake, MeasurementWarning, stacklevel=3)

@@ -100,7 +100,7 @@ def pulse_or_crack(
     if options.get("event") == "crack":
         raise ValueError("event = 'crack': both fronts are fitted; 'domino' or 'full' says what the pulse's lengths are")
     options = {"intervals": "profile", "body": "slider", **options}  # none is looked at here
-    wanted = wanted_parameters(free, options.pop("bounds", None), options.pop("fixed", None))
+    wanted = wanted_parameters(measurements, free, options.pop("bounds", None), options.pop("fixed", None))
     pulse = fit(measurements, [one for one in wanted if one.name != "friction"], seed=seed, **options)
     friction = [] if any(one.name == "friction" for one in wanted) else [Parameter("friction")]
     crack = fit(measurements, [*wanted, *friction], seed=seed, **{**options, "event": "crack"})

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from slippulse_jax.bulk.compiler import check_jit
 from slippulse_jax.domains import check_choice
 from slippulse_jax.inference.choices import Body, Loss, MeasuredEvent
 from slippulse_jax.inference.model.check import checked
@@ -43,6 +44,7 @@ class Objective:
 
     def __call__(self, theta: Mapping[str, Any]) -> Float[Array, ""]:
         """Evaluate at θ by name; a perfect match costs nothing."""
+        check_jit()
         found = self._numbers(theta)
         _warn_of_single_precision()
         return self._compiled(jnp.stack(found))
@@ -129,7 +131,7 @@ def _warn_of_single_precision() -> None:
 
 def objective(
     measurements: "Measurements | pd.DataFrame | str | os.PathLike[str]",
-    free: str | Parameter | Sequence[str | Parameter] = ("stiffness",),
+    free: str | Parameter | Sequence[str | Parameter] | None = None,
     *,
     bounds: tuple[float, float] | None = None,
     fixed: Mapping[str, float] | None = None,
@@ -168,7 +170,7 @@ def objective(
         )
     _warn_of_single_precision()
     check_choice("loss", loss, Loss)
-    wanted = with_errors_of_measuring(m, wanted_parameters(free, bounds, fixed), size_known=True)
+    wanted = with_errors_of_measuring(m, wanted_parameters(m, free, bounds, fixed), size_known=True)
     problem = make_problem(m, checked(m, wanted, event, body), loss, m.stated_sigma)
     if m.is_sequence:
         return Objective(gathered(problem, 0, model_error))

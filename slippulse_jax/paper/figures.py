@@ -16,7 +16,7 @@ from slippulse_jax.files import FIGURE_FORMATS, write_atomically
 from slippulse_jax.lengths import arrests, precursor_lengths
 from slippulse_jax.paper import FIG2
 from slippulse_jax.plot.labels import AGAIN
-from slippulse_jax.plot.style import LIGHT
+from slippulse_jax.plot.style import LIGHT, save
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 
@@ -103,20 +103,17 @@ def draw_figures(
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     written = []
-
-    def write(name: str, content: bytes) -> None:
-        write_atomically(directory / name, content)
-        written.append(directory / name)
-
     with jax.enable_x64(True):
         for name in names:
             tables, draw = _FIGURES[name]
             data = {key: make() for key, make in tables.items()}
             for key, table in data.items():
-                write(f"{key}.csv", _csv(table))
+                written.append(directory / f"{key}.csv")
+                write_atomically(written[-1], _csv(table))
             figure = draw(data)
             for form in formats:
-                write(f"{name}.{form}", _drawn(figure, form))
+                written.append(directory / f"{name}.{form}")
+                save(figure, written[-1], dpi=200)
     return written
 
 
@@ -127,12 +124,6 @@ def _csv(table: Table) -> bytes:
     for row in zip(*table.values(), strict=True):
         writer.writerow([f"{float(x):.10g}" for x in row])
     return text.getvalue().encode()
-
-
-def _drawn(figure: Any, form: str) -> bytes:
-    content = io.BytesIO()
-    figure.savefig(content, format=form, dpi=200, metadata={"Date": None} if form == "svg" else None)
-    return content.getvalue()
 
 
 def _axes(count: int, width: float) -> Any:

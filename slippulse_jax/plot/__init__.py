@@ -35,3 +35,4 @@ from slippulse_jax.plot.maps import sweep as sweep
 from slippulse_jax.plot.profiles import recovered_profile as recovered_profile
 from slippulse_jax.plot.profiles import resolution as resolution
 from slippulse_jax.plot.schematic import schematic as schematic
+from slippulse_jax.plot.style import save as save

@@ -6,12 +6,16 @@ made the Axes.
 """
 
 import functools
+import io
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
+from slippulse_jax.files import FIGURE_FORMATS, write_atomically
 from slippulse_jax.plot.labels import AGAIN
 from slippulse_jax.plot.labels import DISTANCE as DISTANCE
 
@@ -146,6 +150,40 @@ def axes(ax: "Axes | None" = None, *, height: float = HEIGHT) -> "Axes":
     with _in_force():
         chosen = tuple(plt.rcParams["figure.figsize"])
         return plt.subplots(figsize=(COLUMN, height) if chosen == (COLUMN, HEIGHT) else chosen)[1]
+
+
+UNDATED: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
+"""What a file says of itself by its format: the same figure is the same file."""
+
+
+def save(figure: "Figure | Axes", path: str | os.PathLike[str], *, dpi: float = 300) -> None:
+    """Write a figure as journals take it, whole or not at all.
+
+    Whatever the settings, fonts of a PDF are embedded as TrueType and not as Type 3, and text of an SVG stays text.
+
+    Parameters
+    ----------
+    figure : Figure or Axes
+        The figure, or an Axes on it.
+    path : str or path
+        A name that ends in ``.png``, ``.pdf`` or ``.svg``; else a ValueError.
+    dpi : float
+        Points per inch of a PNG, and of images in the others.
+    """
+    import matplotlib as mpl
+
+    if not hasattr(figure, "get_figure"):
+        raise TypeError(f"figure: give a Matplotlib Figure, or an Axes of one, not {type(figure).__name__}")
+    form, drawn = Path(path).suffix.lstrip(".").lower(), cast("Figure", figure)
+    if form not in FIGURE_FORMATS:
+        known = f"{', '.join(f'.{one}' for one in FIGURE_FORMATS[:-1])} or .{FIGURE_FORMATS[-1]}"
+        raise ValueError(f"{os.fspath(path)}: must end in {known}; for another format call figure.savefig(path)")
+    while not hasattr(drawn, "savefig"):  # an Axes, or a SubFigure
+        drawn = cast("Figure", drawn.figure)
+    content = io.BytesIO()
+    with mpl.rc_context({"pdf.fonttype": 42, "pdf.use14corefonts": False, "svg.fonttype": "none"}):
+        drawn.savefig(content, format=form, dpi=dpi, facecolor=drawn.get_facecolor(), metadata=UNDATED.get(form))
+    write_atomically(path, content.getvalue())
 
 
 def letter_panels(*panels: "Axes") -> None:

@@ -284,7 +284,7 @@ def test_fit_as_json_keeps_stdout_clean(tmp_path, in_this_process):
     ("arguments", "message"),
     [
         (["length", "--height", "0.5", "--stiffness", "0.03", "--poisson", "0.3"], "Slider.height = 0.5: must exceed 1"),
-        (["length", "--height", "25", "--stiffness", "nan", "--poisson", "0.3"], "Slider.stiffness = nan"),
+        (["length", "--height", "25", "--stiffness", "nan", "--poisson", "0.3"], "'--stiffness': 'nan' is not a number"),
         (["length", "--height", "25", "--poisson", "0.3"], "missing --stiffness"),
         (["length", "--height", "25", "--young-gpa", "3", "--poisson", "0.3"], "--young-gpa and --height belong to two forms"),
         (
@@ -300,7 +300,7 @@ def test_fit_as_json_keeps_stdout_clean(tmp_path, in_this_process):
         (["length", *FIG2, "--machine", "-1"], "machine"),
         (["fit", PMMA, "--event", "slip"], "'slip' is not one of"),
         (["fit", PMMA, "--event", "crack"], "event = 'crack': friction is neither fitted nor held"),
-        (["length", *FIG2, "--height", "tall"], "'tall' is not a valid float"),
+        (["length", *FIG2, "--height", "tall"], "'--height': 'tall' is not a number"),
         (["fit", "none.csv"], "none.csv: No such file or directory"),
         (["fit", PMMA, "--figure", "fit.jpeg2000"], "must end in .png, .pdf, .svg"),
         (["fit", PMMA, "--figure", "no/such/folder/fit.png"], "there is no folder no/such/folder"),

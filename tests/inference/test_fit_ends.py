@@ -154,11 +154,15 @@ def test_columns_of_ends_and_their_units(tmp_path):
         ("block_length_mm", "15", "column length_mm: 20: longer than the block"),
         ("block_length_mm", "0.1", "column block_length_mm: 0.1: a block must be at least two"),
         ("block_length", "100", "columns of both forms"),
-        ("block_length_in", "0.1", "did you mean block_length_mm"),
+        ("block_length_in", "0.1", "numbers in in are not read: convert them, for block_length_mm"),
         ("machine_stiffness_N_per_m", "1e7", "needs the column block_width_mm"),
         ("machine_stiffness_N_per_m,block_width_mm", "1e7,", "column block_width_mm: missing value"),
         ("machine_stiffness_N_per_m,block_width_mm", "-1,10", "the stiffness of a machine must be positive"),
-        ("machine_stiffness_N_per_mm,block_width_mm", "1,10", "did you mean machine_stiffness_N_per_m"),
+        (
+            "machine_stiffness_N_per_mm,block_width_mm",
+            "1,10",
+            "numbers in N_per_mm are not read: convert them, for machine_stiffness_N_per_m",
+        ),
     ],
 )
 def test_bad_ends_are_named_by_line_and_column(tmp_path, columns, cells, message):

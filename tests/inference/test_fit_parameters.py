@@ -216,7 +216,7 @@ def test_an_improbable_count_is_as_rare_as_its_cost_says():
     count, worst = np.arange(1.0, 160), 0.0
     for sigma in np.geomspace(0.02, 20, 13):
         m = Measurements(np.full(159, 200.0), 0.3, count, np.full(159, sigma), kind=["whole"] * 159)
-        problem = make_problem(m, parameter_set(m, wanted_parameters("stiffness", None, None)), "normal", m.stated_sigma)
+        problem = make_problem(m, parameter_set(m, wanted_parameters(m, "stiffness", None, None)), "normal", m.stated_sigma)
         least = np.where(count > 1, -np.log(2 * ndtr(1 / (2 * sigma)) - 1), 0)
         assert problem.perfect == pytest.approx(2 * least.sum(), rel=1e-9, abs=1e-9)
         for mu in np.concatenate([np.linspace(0, 3, 16), np.linspace(30, 31, 11)]):
@@ -514,10 +514,10 @@ def test_table_with_everything(tmp_path):
 
 def test_bounds_leave_a_parameter_as_it_was():
     """Whether it is a nuisance too."""
-    one = Parameter("stiffness", prior=(0.1, 0.01), nuisance=True)
-    assert wanted_parameters(one, (1e-3, 1.0), None) == [dataclasses.replace(one, bounds=(1e-3, 1.0))]
+    m, one = Measurements([25.0], 0.3, length=[20.0]), Parameter("stiffness", prior=(0.1, 0.01), nuisance=True)
+    assert wanted_parameters(m, one, (1e-3, 1.0), None) == [dataclasses.replace(one, bounds=(1e-3, 1.0))]
     with pytest.raises(ValueError, match="bounds of the stiffness, which is not fitted"):
-        wanted_parameters("prestress", (1e-3, 1.0), {"stiffness": 0.01})
+        wanted_parameters(m, "prestress", (1e-3, 1.0), {"stiffness": 0.01})
 
 
 @pytest.mark.parametrize("more", [{"prior": (0.3, 0.05)}, {"bounds": (0.2, 0.4)}, {"each": "specimen"}])

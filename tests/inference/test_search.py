@@ -37,7 +37,7 @@ def studies(kind, seeds):
     """Tables of this kind of which no more than three parameters are fitted."""
     for table in (random_tables.draw(seed, kind) for seed in seeds):
         scaled = table.options.get("sigma") == "relative"
-        wanted = wanted_parameters(table.free, None, None)
+        wanted = wanted_parameters(table.measurements, table.free, None, None)
         every = with_errors_of_measuring(table.measurements, wanted, size_known=not scaled)
         if len(parameter_set(table.measurements, every).free) in DENSE:
             yield table

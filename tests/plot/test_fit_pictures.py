@@ -137,7 +137,8 @@ def test_one_curve_per_condition_and_the_label_says_what_differs(worked):
     result = worked("prestressed_slider")
     ax = plot.length_versus_stiffness(result)
     assert texts(ax)[:5] == [rf"$\varphi$ = {share:g}" for share in (0, 0.1, 0.2, 0.3, 0.4)]
-    assert len(ax.patches) == 5 + len(result.intervals["stiffness"][0.95])
+    drawn = result.intervals["stiffness"][0.95] + result.intervals_with_inputs["stiffness"][0.95]
+    assert len(ax.patches) == 5 + len(drawn) == 9
 
 
 def test_counts_are_bands_of_all_they_hold_and_limits_have_no_upper_end(worked):

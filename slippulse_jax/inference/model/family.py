@@ -14,6 +14,7 @@ that input alone.
 
 import itertools
 import sys
+import time
 from collections.abc import Iterable, Iterator
 from functools import partial
 from typing import Any, NamedTuple
@@ -63,8 +64,8 @@ MANY = 20
 """Values of b at which a block that was not measured is looked at, above which it is followed."""
 TOGETHER = 32
 """Most values of b of one block that are followed at once, and most coefficients of friction."""
-COMPILING, AN_EVENT, FEW = 10, 0.1, 40
-"""Usual times in s to compile, and of an event; and how many of these take no time worth a word."""
+FEW, LONG = 40, 5.0
+"""Events, and a time in s, that are worth a word."""
 
 Geometry = tuple[float, ...]
 Key = tuple[Geometry, float, int]
@@ -570,6 +571,7 @@ class Events:
     def __init__(self) -> None:
         self.known: dict[Key, Node] = {}
         self.expected: dict[tuple[Geometry, float], dict[Geometry, None]] = {}
+        self.pace = 0.0  # in s per event, of the last part whose program was compiled before; 0 until there is one
 
     def expect(self, geometry: Geometry, *heights: float) -> None:
         """Say that a geometry will be asked for, at these H/λc."""
@@ -606,19 +608,25 @@ class Events:
     def announced(self, every: list[list[Key]]) -> Iterator[list[list[Key]]]:
         """Cut into parts of one per thread, and show progress.
 
-        By a bar on a terminal, elsewhere by one line, once.
+        By a bar on a terminal; elsewhere by one line at first, and one with the time of each call that takes long.
         """
         delay = 0 if sys.stderr is not None and sys.stderr.isatty() else 2
         what = {"desc": "events followed (the first compiles)", "unit": " events", "delay": delay, "leave": False}
-        count = sum(map(len, every))
-        with tqdm(total=count, disable=None, **what) as bar:
-            if bar.disable and count > FEW and not self.known and sys.stderr is not None:
-                about = COMPILING + count * AN_EVENT / workers()
-                text = f"following at least {count} events of blocks: about {about:.0f} s, {COMPILING} s of it to compile"
-                print(text, file=sys.stderr, flush=True)
+        left = sum(map(len, every))
+        with tqdm(total=left, disable=None, **what) as bar:
+            told = not bar.disable or sys.stderr is None
+            if not told and left > FEW and not self.known:
+                print(f"following at least {left} events of blocks", file=sys.stderr, flush=True)
             for start in range(0, len(every), workers()):
-                yield every[start : start + workers()]
-                bar.update(sum(map(len, every[start : start + workers()])))
+                if not told and self.pace * left > LONG:
+                    told = True
+                    print(f"following {left} events of blocks: about {self.pace * left:.0f} s", file=sys.stderr, flush=True)
+                some, begun = every[start : start + workers()], time.monotonic()
+                yield some
+                count = sum(map(len, some))
+                left -= count
+                bar.update(count)
+                self.pace = (time.monotonic() - begun) / count if start else self.pace
 
 
 def _in_parts(every: Iterable[Any], size: int) -> list[list[Any]]:

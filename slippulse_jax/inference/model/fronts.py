@@ -826,7 +826,8 @@ class BlockSequence(BlockEvent):
                 force[:, arrested], spread[:, arrested] = found
                 own = np.isin(rows, self.first)
                 force[:, own], spread[:, own] = begins[:, None], 0.0
-            read = np.column_stack([friction * force, friction * spread, np.log(length) + extent[:, 0]])
+            with np.errstate(divide="ignore"):  # no event, no length
+                read = np.column_stack([friction * force, friction * spread, np.log(length) + extent[:, 0]])
             cloud.add(numbers, read, self._followed(inputs, rows[0])[1])
 
     def fitted(self, rows: np.ndarray | None, tuned: bool = False) -> None:
@@ -950,6 +951,8 @@ def front_of(m: Measurements, event: MeasuredEvent | Front | None = None, body: 
         raise TypeError(f"event: give {event.__name__}(), a model, and not its class")
     if event is not None:
         check_choice("event", event, MeasuredEvent)
+    if event == "sequence" and not m.is_sequence:
+        raise ValueError(f"{m.source}: event = 'sequence' needs forces of a block: columns force, force_sigma, push_height")
     if body is not None:
         check_choice("body", body, Body)
     else:

@@ -6,7 +6,7 @@ errors of their own are parameters with a prior, like any other.
 """
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -469,8 +469,18 @@ def with_names(m: Measurements, wanted: Iterable[Parameter]) -> list[Parameter]:
     return [replace(one, name=stiffness_name(m)) if one.name == "stiffness" else one for one in wanted]
 
 
-def wanted_parameters(free: Any, bounds: tuple[float, float] | None, fixed: Mapping[str, float] | None) -> list[Parameter]:
+def default_free(m: Measurements, held: Container[str]) -> list[str]:
+    """The stiffness, and what a sequence needs and no column states."""
+    unstated = [name for name in ("friction", "normal_load") if m.is_sequence and getattr(m, name) is None]
+    stiffness = [] if any(name in held for name in STIFFNESSES) else ["stiffness"]
+    return [*stiffness, *(name for name in unstated if name not in held)]
+
+
+def wanted_parameters(
+    m: Measurements, free: Any, bounds: tuple[float, float] | None, fixed: Mapping[str, float] | None
+) -> list[Parameter]:
     """Collect the parameters, fitted or held, that the arguments of `fit` name."""
+    free = default_free(m, fixed or ()) if free is None else free
     free = (free,) if isinstance(free, (str, Parameter)) else tuple(free)
     if not free:
         raise ValueError("free = (): nothing to fit")

@@ -75,10 +75,10 @@ class Followed(NamedTuple):
         and not the creep after it.
         """
         advance = self.advance[:, None]
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):  # NaN where no event advances
             density = np.log(advance) - ((np.minimum(self.reached, 1.0)[:, None] - place[..., None]) / error[:, None]) ** 2 / 2
-        density = np.where(advance > 1e-12, density, -np.inf)
-        weight = np.exp(density - density.max(axis=-1, keepdims=True))
+            density = np.where(advance > 1e-12, density, -np.inf)
+            weight = np.exp(density - density.max(axis=-1, keepdims=True))
         return self._averaged(weight / weight.sum(axis=-1, keepdims=True))
 
     def _averaged(self, weight: Float[np.ndarray, "n m E"]) -> np.ndarray:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin
 
 import numpy as np
 
-from slippulse_jax.files import plain, read_whole, shortened
+from slippulse_jax.files import file_name, plain, read_whole, shortened
 from slippulse_jax.inference.choices import Loss
 from slippulse_jax.inference.model.check import checked, suspicions
 from slippulse_jax.inference.model.fronts import Front
@@ -294,12 +294,12 @@ def as_request(request: dict[str, Any]) -> dict[str, Any]:
 def from_request(request: dict[str, Any]) -> dict[str, Any]:
     """Convert a request to arguments of `fit`; a ValueError names mistakes."""
     request = dict(request)
-    parameters = request.pop("parameters", {"stiffness": {}})
+    parameters = request.pop("parameters", None)
     unknown = set(request) - {*SETTINGS}
     if unknown:
         raise ValueError(shortened(f"request: {', '.join(sorted(unknown))} not understood"))
     free = []
-    for name, settings in parameters.items():
+    for name, settings in (parameters or {}).items():
         known = {field.name for field in dataclasses.fields(Parameter)} - {"name"}
         strange = set(settings) - known
         if strange:
@@ -310,7 +310,7 @@ def from_request(request: dict[str, Any]) -> dict[str, Any]:
             if key in pairs and not (isinstance(pairs[key], tuple) and len(pairs[key]) == 2):
                 raise ValueError(f"request, parameter {name}: {key} = {pairs[key]!r}: two numbers are needed")
         free.append(Parameter(name, **pairs))
-    return {"free": free, **request}
+    return {"free": None if parameters is None else free, **request}
 
 
 def read_request(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -328,7 +328,7 @@ def read_request(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 def read_request_file(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read a TOML or JSON file; a ValueError otherwise."""
-    name = os.fspath(path)
+    name = file_name(path)
     try:
         text = read_whole(path, LARGEST).decode("utf-8-sig")
     except UnicodeDecodeError:

@@ -290,7 +290,7 @@ def posterior(
     from numpyro.infer import MCMC, NUTS  # pyright: ignore[reportMissingImports]
 
     if progress is not False and sys.stderr is not None:  # before the bar, which opens after compiling
-        print(f"sampling {chains} chains of {warmup + samples} steps: about 40 s to compile first", file=sys.stderr, flush=True)
+        print(f"sampling {chains} chains of {warmup + samples} steps; the first compiles", file=sys.stderr, flush=True)
     low, high = result.parameters.low, result.parameters.high
     starts = np.array([one.theta for one in result.roots] or [result.theta])
     unbounded = np.resize(logit(np.clip((starts - low) / (high - low), 1e-6, 1 - 1e-6)), (chains, len(low)))
@@ -316,6 +316,10 @@ def posterior(
         drawn = np.asarray(run.get_samples(group_by_chain=True))
         diverging = np.asarray(run.get_extra_fields(group_by_chain=True)["diverging"])
     theta = low + (high - low) * expit(drawn)
+    if diverging.any():
+        ends = "; counts and limits without a σ have ends that it cannot follow: give one, or use the intervals of the fit"
+        share = f"{diverging.sum()} of {diverging.size} samples diverged, so the posterior is not to be used"
+        warnings.warn(share + ends * result.problem.only_counts, RuntimeWarning, stacklevel=3)
     return Samples("posterior", seed, result.parameters.free, theta, diverging=diverging)
 
 

@@ -312,7 +312,7 @@ def named(header: Sequence[str], where: str) -> Named:
     whole = [own for own, (column, _) in known.items() if own.endswith("_N") or column.value == "machine_stiffness"]
     of_width = [own for own, (column, _) in known.items() if column.value == "block_width"]
     if si and bool(whole) != bool(of_width):
-        missed = COLUMNS["block_width" if whole else "machine_stiffness"].name(in_si=True)
+        missed = COLUMNS["block_width"].name(in_si=True) if whole else "machine_stiffness_N_per_m, or forces in N"
         raise MeasurementError(
             f"{where}, column {(whole + of_width)[0]}: needs the column {missed}: the model is one of a unit width"
         )
@@ -363,7 +363,9 @@ _ERROR = re.compile(r"(?:^|_)(?:sigma|σ|error|err|std|sd|stderr|uncertainty)(?=
 _BETWEEN = re.compile(r"[\s()\[\]{}/.,:-]+")
 _SIZES = {unit: size for unit, size in (UNITS_OF_LENGTH | UNITS_OF_MODULUS | SI).items() if unit.isascii()} | {"λc": math.nan}
 _READ = {unit.casefold(): unit for unit in (*UNITS_OF_LENGTH, *UNITS_OF_MODULUS) if unit in _SIZES} | {"μm": "um"}
-_UNIT = re.compile(rf"(?:_in)?(?:^|_)({'|'.join(_READ)}|in|inch|ft|dm|km|psi|k?N(?:_per_mm?)?)$", re.IGNORECASE)
+_OTHER = "in|inch|ft|dm|km|psi|kgf?|gf?|lbf?|[kMmu]?N(?:_per_[cm]?m)?"
+_UNIT = re.compile(rf"(?:_in)?(?:^|_)({'|'.join(_READ)}|{_OTHER})$", re.IGNORECASE)
+"""Units in which a name may end, also those that are not read."""
 
 
 def _refuse_misnamed(unknown: Sequence[str], there: Container[str], si: bool, plain: bool, where: str) -> None:
@@ -381,11 +383,15 @@ def _refuse_misnamed(unknown: Sequence[str], there: Container[str], si: bool, pl
         lacking = [one for one in columns if one.quantity not in there and one.names(si)]
         required = any(one.required for one in lacking)
         if lacking and (sure or unit or required):
-            names = [name if si and (name := f"{one.quantity}_{unit}") in NAMES[True] else one.name(si) for one in lacking]
+            units = [unit] if "_per_" in unit else [unit, "N"]  # a force of all the width
+            names = [next((x for end in units if (x := f"{one.quantity}_{end}") in NAMES[si]), one.name(si)) for one in lacking]
+            known = " or ".join(names)
             remark = "" if required else " If not, give it another name."
             if own.casefold() in (name.casefold() for name in names):
                 remark = " Upper and lower case count"
-            said.append(f"{own}: did you mean {' or '.join(names)}?{remark}")
+            read = not unit or any(name.casefold().endswith(f"_{unit.casefold()}") for name in names)
+            converted = f"numbers in {unit} are not read: convert them, for {known}."
+            said.append(f"{own}: " + (f"did you mean {known}?{remark}" if read else converted))
     if said:
         raise MeasurementError(f"{where}, column {' Column '.join(said)}")
 
@@ -418,6 +424,7 @@ def check_needs(given: Collection[str], columns: Mapping[str, str], source: str)
             if needed not in given and not (of_si_only and "correlation_length" not in given):
                 own = columns.get(name, name)
                 missed = needed if own == name else EVERY[needed].name(in_si=True)
+                missed = alike if (alike := own.replace(name, needed)) in _IN_SI else missed
                 raise MeasurementError(f"{source}: {own} is given without {missed}")
 
 
@@ -488,7 +495,7 @@ def _faults_of_push(values: Mapping[str, Any]) -> Iterator[Fault]:
     height, none = values["height"], np.full_like(values["height"], np.nan)
     at, width = values.get("push_height", none), values.get("push_width", none)
     yield "push_height", at >= height, "not below the height of the block"
-    yield "push_width", width >= height, "wider than the block is high"
+    yield "push_width", width >= height, "not less than the height of the block"
     yield "push_width", np.isnan(at) & ~np.isnan(width), "needs the height of its middle, which is missing"
     yield "push_width", (at - width / 2 <= 0) | (at + width / 2 >= height), "reaches beyond the side of the block"
 

@@ -422,7 +422,7 @@ def read_measurements(path: str | os.PathLike[str], *, gauges: str | os.PathLike
     Parameters
     ----------
     path : path
-        UTF-8 text; comma, semicolon or tab between the columns.
+        UTF-8 text; comma, semicolon or tab between the columns. ``-`` is standard input.
     gauges : path, optional
         A second file: readings along the interface after arrest (`read_gauges`).
 
@@ -463,7 +463,7 @@ def read_gauges(path: str | os.PathLike[str], labels: Sequence[str]) -> Gauges:
     for line, label in zip(found["lines"], found["label"], strict=True):
         if count[label] != 1:
             many = f"{count[label]} measurements have" if count[label] else "no measurement has"
-            where = f"{os.fspath(path)}, line {line}, column label"
+            where = f"{found['source']}, line {line}, column label"
             raise MeasurementError(f"{where}: {many} the label {label!r}; each needs its own, in a column label")
     given = {name: found[name] for name in (*GAUGE_COLUMNS, "lines", "source", "skipped") if name in found}
     return Gauges([row[label] for label in found["label"]], **given)
@@ -475,6 +475,6 @@ def measurements_of(given: Any) -> Measurements:
         return given
     if isinstance(given, str | os.PathLike):
         return read_measurements(given)
-    if hasattr(given, "itertuples") and hasattr(given, "columns"):
+    if hasattr(type(given), "columns"):
         return Measurements.from_dataframe(given)
     raise TypeError(f"measurements is {type(given).__name__}: must be Measurements, pandas.DataFrame or the path of a CSV file")

@@ -16,7 +16,7 @@ from unicodedata import name as name_of
 
 import numpy as np
 
-from slippulse_jax.files import read_whole
+from slippulse_jax.files import file_name, read_whole
 from slippulse_jax.inference.table.columns import (
     COLUMNS,
     IN_LC,
@@ -42,12 +42,24 @@ class Table(NamedTuple):
     commas: bool = False  # whether numbers may have decimal commas
 
 
+_MADE_BY = (
+    ("collect", "table.collect().to_pandas()"),
+    ("compute", "table.compute()"),
+    ("to_pandas", "table.to_pandas()"),
+    ("toPandas", "table.toPandas()"),
+    ("to_frame", "series.to_frame().T"),
+)
+"""A method that frames of other libraries have, and what makes a pandas.DataFrame of them."""
+
+
 def of_dataframe(table: Any) -> Table:
     """Cells of a pandas.DataFrame."""
-    if not (hasattr(table, "itertuples") and hasattr(table, "columns")):
-        makes = "series.to_frame().T" if hasattr(table, "to_frame") else "pandas.DataFrame(…)" * isinstance(table, Mapping)
+    makes = next((makes for has, makes in _MADE_BY if hasattr(table, has)), "pandas.DataFrame(…)" * isinstance(table, Mapping))
+    if makes or not hasattr(table, "itertuples"):
         hint = f": {makes} makes one of it" * bool(makes)
         raise TypeError(f"table is {type(table).__name__}: must be a pandas.DataFrame{hint}")
+    if index := [name for name in table.index.names if name in KNOWN and name not in table.columns]:
+        raise MeasurementError(f"table: {', '.join(index)} in the index, not among the columns: give table.reset_index()")
     header = (0, [str(column) for column in table.columns])
     blank = iter(table.isna().to_numpy().ravel())
     cells = (
@@ -164,7 +176,7 @@ def _numbers(
 
 def read_text(path: str | os.PathLike[str]) -> str:
     """Read a file of UTF-8 text of at most `LARGEST` bytes."""
-    name = os.fspath(path)
+    name = file_name(path)
     try:
         content = read_whole(path, LARGEST)
     except ValueError as error:  # too large
@@ -182,13 +194,15 @@ def read_text(path: str | os.PathLike[str]) -> str:
 
 def of_file(path: str | os.PathLike[str]) -> Table:
     """Find the header of a file, and the data below it."""
-    name, text = os.fspath(path), read_text(path)
+    name, text = file_name(path), read_text(path)
     given = _SEPARATOR.match(text)
     separator = (given[1] or "\t") if given else ""
 
     def mark(line: str) -> str:
-        counts = {one: (len(KNOWN.intersection(next(csv.reader([line], delimiter=one)))), line.count(one)) for one in ",;\t"}
-        return separator or max(counts, key=counts.__getitem__)
+        def columns(one: str) -> tuple[int, int]:
+            return len(KNOWN.intersection(next(csv.reader([line], delimiter=one, skipinitialspace=True)))), line.count(one)
+
+        return separator or max(",;\t", key=columns)
 
     titles, best, first, delimiter = [], (), 0, ","
     for line, cells, tried, _ in _records(text, name, mark):
@@ -248,7 +262,9 @@ def _records(text: str, name: str, mark: Callable[[str], str], first: int = 0) -
         comment = not first and start.lstrip().startswith(_MARKS)
         try:
             delimiter = mark(start)
-            reader = csv.reader([start] if comment else chain([start], lines), delimiter=delimiter, strict=first > 0)
+            rest = [start] if comment else chain([start], lines)
+            blanks = not start.lstrip().startswith(_MARKS)  # before a quotation mark are left out
+            reader = csv.reader(rest, delimiter=delimiter, strict=first > 0, skipinitialspace=blanks)
             cells = next(reader)
         except csv.Error as error:
             raise MeasurementError(f"{name}, line {line}: {str(error).partition(' - ')[0]}") from None
