@@ -11,7 +11,7 @@ TRUE = {"areal_stiffness": 5.8e10, "friction": 0.35}  # Pa/m, what make_data.py 
 def main() -> FitResult:
     """Fit the sequence, and check that both numbers are found again."""
     table = Path(__file__).with_name("lengths.csv")
-    result = sp.fit(table, free=["stiffness", "friction"])
+    result = sp.fit(table)
     print(result.report())
     for name, truth in TRUE.items():
         (interval,) = result.intervals[name][0.95]

@@ -260,8 +260,9 @@ def _with_options(request: dict[str, Any], options: dict[str, Any], m: "Measurem
     from slippulse_jax.inference.result.record import SETTINGS
 
     parameters = {name: dict(settings) for name, settings in request.get("parameters", {}).items()}
-    for name in options["free"] or (() if parameters else default_free(m, options["fix"])):
+    for name in options["free"]:
         parameters.setdefault(name, {})
+    named = bool(parameters)
     for name, values in options["fix"].items():
         if len(values) != 1:
             raise ValueError(f"--fix {name}: one value is needed")
@@ -271,5 +272,7 @@ def _with_options(request: dict[str, Any], options: dict[str, Any], m: "Measurem
             parameters.setdefault(name, {})[key] = values
     for name in options["each_specimen"]:
         parameters.setdefault(name, {})["each"] = "specimen"
+    if parameters and not named:
+        parameters = dict.fromkeys(default_free(m, options["fix"]), {}) | parameters
     settings = {name: options[name] for name in SETTINGS if options.get(name) is not None}
-    return {**request, **settings, "parameters": parameters}
+    return {**request, **settings, "parameters": parameters or None}

@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -70,6 +72,23 @@ def test_damaged_files_are_replaced_and_an_unwritable_folder_is_not_missed(tmp_p
     assert lengths(tmp_path) == (usual[0], False)
     (tmp_path / "a_file").touch()
     assert lengths(tmp_path / "a_file") == usual
+
+
+@pytest.mark.parametrize("size", [2**20 + 1, None])
+def test_a_file_larger_than_programs_are_is_not_read_whole(tmp_path, monkeypatch, size):
+    """One without an end, too; it is replaced."""
+    monkeypatch.setenv(kept.FOLDER, str(tmp_path))
+    monkeypatch.setattr(kept, "LARGEST", 2**20)
+    (device, *_), shapes = local_devices(), [jax.ShapeDtypeStruct((3,), float)]
+    path = kept._file(device, "twice", [((3,), str(shapes[0].dtype))])
+    if size:
+        path.write_bytes(bytes(size))
+    else:
+        path.symlink_to("/dev/zero")
+    program = kept.kept(lambda: jax.jit(lambda x: (2 * x,)).lower(*shapes), lambda one: one.compile(), shapes, device, "twice")
+    assert program(jnp.ones(3))[0].tolist() == [2, 2, 2]
+    assert path.read_bytes()
+    assert path.stat().st_size < 2**20
 
 
 @pytest.mark.ci

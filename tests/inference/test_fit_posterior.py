@@ -84,7 +84,7 @@ def test_arviz_takes_the_posterior(sampled):
     """Its summary and plots work on what is returned; so does the corner, on samples of either kind."""
     az = import_arviz()
     result, drawn, said = sampled
-    assert said.startswith("sampling 4 chains of 250 steps: about ")
+    assert said.startswith("sampling 4 chains of 250 steps; the first compiles\n")
     tree = drawn.to_arviz()
     table = az.summary(tree)
     assert list(table.index) == ["areal_stiffness"]
@@ -115,6 +115,39 @@ def test_missing_sampler_is_named(monkeypatch):
     done = CliRunner().invoke(command, [DATA, "--posterior", "10"])
     assert done.exit_code == 2
     assert "pip install 'slippulse_jax[bayes]'" in done.output
+
+
+class Drawn:
+    """Stands in for NumPyro's MCMC: samples at the middle of the range, of which some diverged."""
+
+    diverged = 0
+
+    def __init__(self, *_, num_samples, num_chains, **__):
+        self.shape = (num_chains, num_samples)
+
+    def run(self, *_, init_params, **__):
+        self.parameters = init_params.shape[-1]
+
+    def get_samples(self, group_by_chain):
+        return np.zeros((*self.shape, self.parameters))
+
+    def get_extra_fields(self, group_by_chain):
+        return {"diverging": np.arange(np.prod(self.shape)).reshape(self.shape) < self.diverged}
+
+
+@pytest.mark.ci  # which have NumPyro
+@pytest.mark.parametrize("kind", ["length", "whole"])
+def test_samples_that_diverged_are_said(kind, monkeypatch):
+    monkeypatch.setattr("numpyro.infer.MCMC", Drawn)
+    result = fit(
+        Measurements([10.0, 20, 30], 0.3, length=[7.0, 15, 24], length_sigma=[0.5 * (kind == "length")] * 3, kind=kind)
+    )
+    assert not result.posterior(samples=20, progress=False).diverging.any()
+    monkeypatch.setattr(Drawn, "diverged", 7)
+    with pytest.warns(RuntimeWarning, match="^7 of 80 samples diverged") as said:
+        assert result.posterior(samples=20, progress=False).diverging.sum() == 7
+    assert ("counts" in str(said[0].message)) == (kind == "whole")
+    assert said[0].filename == __file__
 
 
 @pytest.mark.slow  # the sampler takes minutes to compile

@@ -241,6 +241,8 @@ def test_measurements_from_arrays():
     m = Measurements(height=[25, 50], poisson=0.3, length=[20, 40], length_sigma=1)
     assert len(m) == 2
     np.testing.assert_array_equal(m.poisson, [0.3, 0.3])
+    one_text = Measurements(height=[25, 50], poisson=0.3, length=[20, 40], kind="whole", specimen="A", label="")
+    assert (one_text.kind, one_text.specimen, one_text.label) == (("whole",) * 2, ("A",) * 2, ("",) * 2)
     with pytest.raises(MeasurementError, match="measurement 1, column length: -4 λc: "):
         Measurements(height=[25, 50], poisson=0.3, length=[20, -4], length_sigma=1)
     with pytest.raises(MeasurementError, match="specimen has 1 entries for 2 lengths"):

@@ -1,6 +1,7 @@
 """The density that a fit minimises as a JAX function: for optax, samplers and code of one's own."""
 
 import pickle
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -154,6 +155,7 @@ KINDS = {
 QUICK = [x if x in ("slider", "own") else pytest.param(x, marks=pytest.mark.ci) for x in KINDS]
 
 
+@cache
 def of_two(kind):
     """An objective of stiffness and ν, or friction."""
     table, options = KINDS[kind]
@@ -201,7 +203,7 @@ def test_it_can_be_kept(kind):
     assert again.values(start) == f.values(start)
 
 
-@pytest.mark.parametrize("kind", QUICK)
+@pytest.mark.parametrize("kind", [x if x != QUICK[-1] else pytest.param("sequence", marks=pytest.mark.slow) for x in QUICK])
 def test_outside_double_precision_it_says_so(kind):
     """Made and called under `enable_x64`, then called outside."""
     f = of_two(kind)

@@ -221,13 +221,13 @@ def test_what_the_table_identifies_is_fitted(columns, held, free, monkeypatch):
         "ranges": {},
         "each_specimen": (),
     }
-    request = from_request(fit_command._with_options({}, nothing, m))["free"]
+    request = wanted_parameters(m, from_request(fit_command._with_options({}, nothing, m))["free"], None, None)
     assert [one.name for one in request if one.value is None] == free
     assert {one.name: one.value for one in request if one.value is not None} == held
     assert from_request({})["free"] is None
 
 
-@pytest.mark.ci
+@pytest.mark.slow  # in CI the example's own program does so
 def test_the_example_of_a_sequence_is_fitted_by_its_name(tmp_path):
     done = CliRunner().invoke(fit_command.command, ["--example", "sequence"])
     assert done.exit_code == 0, done.output

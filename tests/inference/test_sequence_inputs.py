@@ -200,7 +200,7 @@ def test_a_stated_error_of_the_load_is_in_the_error_of_the_fit(six):
     assert "normal_load" not in {change.name for change in stated.changes}
 
 
-@pytest.mark.ci
+@pytest.mark.slow
 def test_a_load_cell_whose_zero_is_known(six):
     """Forces all larger by 15 N, and the offset held or fitted within its error: the values of the table without it."""
     off = table().assign(force_N=table().force_N + 15.0)
@@ -266,8 +266,20 @@ def remarks(result):
             ["equal ones are assumed"],
         ),
         (None, {"fixed": {"newborn": 0.6}}, ["assumed: contacts age over τ = 1 u_s"], ["ageing contacts"]),
-        (None, {"fixed": {"newborn": 0.6, "time_constant": 1.0}}, [], ["ageing contacts", "assumed: contacts age"]),
-        ("push_width_mm", {}, ["guessed: the pusher covers the whole side above the push", "ageing contacts"], []),
+        pytest.param(
+            None,
+            {"fixed": {"newborn": 0.6, "time_constant": 1.0}},
+            [],
+            ["ageing contacts", "assumed: contacts age"],
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "push_width_mm",
+            {},
+            ["guessed: the pusher covers the whole side above the push", "ageing contacts"],
+            [],
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_sentences_are_true_of_this_table(dropped, options, said, unsaid):

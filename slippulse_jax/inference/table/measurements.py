@@ -79,9 +79,9 @@ def entries(x: Sequence[T]) -> tuple[T, ...]:
 def convert(one: Any) -> list[str]:
     """Convert the fields of a table; return the columns of numbers given.
 
-    A column of one number is repeated.
+    One number, or one text, is repeated.
     """
-    given, n, first = [], 1, ""
+    given, alike, n, first = [], {}, 1, ""
     for field in (field for field in dataclasses.fields(one) if "converter" in field.metadata):
         where, converter = f"{one.source}, column {field.name}", field.metadata["converter"]
         unit = "" if field.name not in EVERY or field.name in IN_LC else EVERY[field.name].si
@@ -90,6 +90,8 @@ def convert(one: Any) -> list[str]:
         except (TypeError, ValueError) as error:
             needed = "a sequence" if converter is entries else "numbers"
             raise MeasurementError(f"{where}: must be {needed} ({error})") from None
+        if converter is entries and isinstance(getattr(one, field.name), str):
+            alike[field.name] = getattr(one, field.name)
         object.__setattr__(one, field.name, value)
         if not isinstance(value, np.ndarray):
             continue
@@ -102,6 +104,8 @@ def convert(one: Any) -> list[str]:
             n, first = value.size, field.name
     for name in given:
         object.__setattr__(one, name, np.array(np.broadcast_to(getattr(one, name), n)))
+    for name, text in alike.items():
+        object.__setattr__(one, name, (text,) * n)
     return given
 
 
@@ -167,7 +171,7 @@ class Gauges:
 class Measurements:
     """Measured first precursors, one entry per measurement.
 
-    Columns of numbers are of shape (n,), or one number for all; NaN and None are blank cells. Lengths are in λc, also where
+    Columns are of shape (n,), or one number or text for all; NaN and None are blank cells. Lengths are in λc, also where
     `correlation_length` is given (`from_si` takes metres).
 
     Parameters
