@@ -1,6 +1,5 @@
 """Draw the pictures of README.md and of the pages about gauges and precursors. Run: python docs/tools/make_pictures.py."""
 
-import io
 import re
 import tempfile
 from pathlib import Path
@@ -9,7 +8,6 @@ from typing import Any
 import matplotlib.pyplot as plt
 
 import slippulse_jax as sp
-from slippulse_jax.files import write_atomically
 from slippulse_jax.inference.fit import FitResult
 
 DOCS = Path(__file__).resolve().parents[1]
@@ -63,9 +61,7 @@ def precursors() -> Any:
 
 def save(figure: Any, name: str) -> None:
     """Write one picture, whole."""
-    content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=120 if figure.get_figwidth() > 5 else 180)
-    write_atomically(DOCS / "pictures" / f"{name}.png", content.getvalue())
+    sp.plot.save(figure, DOCS / "pictures" / f"{name}.png", dpi=120 if figure.get_figwidth() > 5 else 180)
 
 
 if __name__ == "__main__":

@@ -117,7 +117,7 @@ def _example(ctx: click.Context, parameter: click.Parameter, name: str | None) -
     "--free",
     multiple=True,
     metavar="NAME",
-    help="Fit this parameter; repeat for several. By default stiffness, and friction if needed.",
+    help="Fit this parameter; repeat for several. By default stiffness, and what a sequence needs.",
 )
 @click.option(
     "--bounds", type=float, nargs=2, metavar="LOW HIGH", help="Stiffness range: Pa/m in SI, 1/m without young_GPa, else k/K."
@@ -174,9 +174,8 @@ def command(ctx: click.Context, csv: str | None, example: Path | None, **options
     """Fit the interface stiffness to measured precursor lengths.
 
     LENGTHS.CSV, or - for standard input, has one precursor per line, or one event of a sequence, and units in its column
-    names. Readings of gauges need
-    --free stiffness --free strength. A request has [parameters.poisson] prior = [0.3, 0.02], and loss, sigma, method, seed,
-    max_steps; options are added to it.
+    names. Readings of gauges need --free stiffness --free strength. A request has [parameters.poisson] prior = [0.3, 0.02],
+    and loss, sigma, method, seed, max_steps; options are added to it.
 
     Exit status: 0 also where the data do not determine a parameter; 3 if the search did not converge.
     """
