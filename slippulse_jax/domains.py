@@ -89,6 +89,8 @@ def real_numbers(name: str, x: Any, unit: str = "", cell: Callable[[Any], float]
         mask = getattr(one, "mask", None)
         if isinstance(mask, np.ndarray | np.bool) and mask.any():
             raise ValueError(f"{_named(name, repr(one))}: has masked values; fill them, or leave them out")
+        if isinstance(one, bool | np.bool):
+            raise TypeError(f"{_named(name, repr(x))}: must be a real number, or several ({one!r} is not a number)")
     try:
         array = np.asarray(given)
         if array.dtype.kind in "OU":

@@ -183,7 +183,7 @@ def command(ctx: click.Context, csv: str | None, example: Path | None, **options
     from slippulse_jax.inference.result.record import from_request, read_request
     from slippulse_jax.inference.table.measurements import MeasurementWarning, read_measurements
 
-    _check(options)
+    _check({**options, "csv": csv})
     table = _table(ctx, csv, example)
     try:
         request = read_request(options["request"]) if options["request"] else {}
@@ -244,6 +244,8 @@ def _table(ctx: click.Context, csv: str | None, example: Path | None) -> str | P
 
 def _check(options: dict[str, Any]) -> None:
     """Check that the options go together."""
+    if [options["csv"], options["gauges"], options["request"]].count("-") > 1:
+        raise click.UsageError("- is standard input, which can be read once: give a file for the other")
     if options["gauge_figure"] and not options["gauges"]:
         raise click.UsageError("--gauge-figure needs --gauges")
     if options["case"] and not options["bootstrap"]:

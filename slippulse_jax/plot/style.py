@@ -181,7 +181,7 @@ def save(figure: "Figure | Axes", path: str | os.PathLike[str], *, dpi: float = 
     while not hasattr(drawn, "savefig"):  # an Axes, or a SubFigure
         drawn = cast("Figure", drawn.figure)
     content = io.BytesIO()
-    with mpl.rc_context({"pdf.fonttype": 42, "pdf.use14corefonts": False, "svg.fonttype": "none"}):
+    with mpl.rc_context({"pdf.fonttype": 42, "pdf.use14corefonts": False, "svg.fonttype": "none", "svg.hashsalt": "same"}):
         drawn.savefig(content, format=form, dpi=dpi, facecolor=drawn.get_facecolor(), metadata=UNDATED.get(form))
     write_atomically(path, content.getvalue())
 

@@ -17,6 +17,7 @@ from slippulse_jax.inference.model.parameters import (
     HEIGHTS,
     NEEDS_SI,
     PARAMETERS,
+    SCALES,
     STIFFNESSES,
     Linear,
     Parameter,
@@ -29,7 +30,7 @@ from slippulse_jax.inference.model.parameters import (
     stiffness_name,
     with_names,
 )
-from slippulse_jax.inference.table.columns import COLUMNS, IN_LC, NUMERIC, MeasurementError
+from slippulse_jax.inference.table.columns import COLUMNS, EVERY, IN_LC, NUMERIC, MeasurementError
 from slippulse_jax.inference.table.measurements import Measurements, MeasurementWarning
 
 OF_SEQUENCES = ("newborn", "time_constant", "threshold_scatter", "machine_stiffness", "normal_load")
@@ -38,6 +39,8 @@ AGED = 0.45
 """Part of a block below which no event tells how its contacts age."""
 LIKELY = Domain(0.02, 1.2, "")
 """Usual range of the length over the height."""
+STARTS = ("young", "push_height", "push_width", "block_length", "block_width", "normal_stiffness")
+"""Parameters that are nothing without a column."""
 COMPARED = (*HEIGHTS, "young", "correlation_length", "normal_load", "machine_stiffness", "strength", "time_constant")
 """Parameters whose priors, values and bounds are held against what the table states, or what is usual."""
 USUALLY = {"strength": (1e3, 1e9), "time_constant": (0.02, 50.0)}
@@ -66,6 +69,8 @@ def checked(
     names = [one.name for one in chosen]
     for one in chosen:
         _check_meaning(m, one, names)
+        if not PARAMETERS[one.name].acts.keys() & {*front.inputs, *COMMON, *SCALES}:
+            raise ValueError(f"parameter {one.name}: no part of the model of {front.name}")
     _check_complete(m, chosen)
     if missing := [name for name in front.columns if name not in m.other]:
         raise ValueError(f"{m.source}: the model reads the column {missing[0]}, which is not there")
@@ -88,8 +93,7 @@ def _check_meaning(m: Measurements, one: Parameter, names: Sequence[str]) -> Non
     stiffness = stiffness_name(m)
     if names.count(one.name) > 1:
         raise ValueError(f"parameter {one.name} is given {names.count(one.name)} times")
-    if one.name == "push_height" and m.push_height is None:
-        raise ValueError("parameter push_height: the measurements state no push_height to start from")
+    _check_stated(m, one)
     if one.name in OF_SEQUENCES:
         _check_of_sequences(m, one, names)
     if one.name == "arrest":
@@ -98,14 +102,20 @@ def _check_meaning(m: Measurements, one: Parameter, names: Sequence[str]) -> Non
         raise ValueError(f"parameter {one.name}: these measurements determine {stiffness}")
     if one.name in NEEDS_SI and not m.in_si:
         raise ValueError(f"parameter {one.name}: needs measurements in SI, with their correlation length")
-    if one.name == "young" and m.young is None:
-        raise ValueError("parameter young: the measurements state no young_GPa to start from")
     if one.each == "specimen" and not m.specimen:
         raise ValueError(f"parameter {one.name}: each = 'specimen', but the measurements name no specimens")
     if one.name == "model_factor" and one.prior is None and one.value is None:
         raise ValueError(
             "parameter model_factor: needs a prior, as (1, 0.05): the lengths alone cannot separate it from stiffness"
         )
+
+
+def _check_stated(m: Measurements, one: Parameter) -> None:
+    """Check that the table states what a parameter starts from."""
+    if one.name in STARTS and (getattr(m, one.name) is None or not np.isfinite(getattr(m, one.name)).all()):
+        raise ValueError(f"parameter {one.name}: the measurements state no {EVERY[one.name].name(in_si=m.in_si)} to start from")
+    if one.name == "force_offset" and m.force is None:
+        raise ValueError("parameter force_offset: the measurements have no forces")
 
 
 def _check_of_sequences(m: Measurements, one: Parameter, names: Sequence[str]) -> None:

@@ -37,6 +37,7 @@ from slippulse_jax.inference.model.sequence import (
     CONTACTS,
     GEOMETRY,
     SITES,
+    UNITS,
     Cloud,
     Followed,
     Surface,
@@ -442,14 +443,17 @@ class WholeEvent(Front):
     def values(self, inputs: Inputs) -> np.ndarray:
         """ℓ times `over_front`.
 
-        Of lengths unlike all that were measured, that of a lower slider of the same b: 1 % off, and quick.
+        Of lengths unlike all that were measured, that of a lower slider of the same b: a few per cent off, and quick.
         """
-        front, lanes = FirstFront().lengths(inputs), _lanes(inputs)
-        stops, height = np.isfinite(front) & (front > 0), lanes[0]
-        found, unlike = front.copy(), (front < self.least * height) | (front > self.largest * height)
-        size = np.where(unlike & (self.largest > 0), np.maximum(height / LOW, 1), 1)
-        lanes = lanes * np.stack([1 / size, size, size / size, size / size, size])
-        found[stops] *= self.over_front(lanes[:, stops])
+        found, lanes = FirstFront().lengths(inputs), _lanes(inputs)
+        front, height = found.copy(), lanes[0]
+        stops, same = np.isfinite(front) & (front > 0), np.ones(len(height))
+        size = np.maximum(height / LOW, 1) if self.largest > 0 else same
+        low = lanes * np.stack([1 / size, size, same, same, size])
+        found[stops] *= self.over_front(low[:, stops])
+        near = np.where(np.isnan(found), front, found) / height
+        like = stops & (size > 1) & (near >= self.least) & (near <= self.largest)
+        found[like] = front[like] * self.over_front(lanes[:, like])
         return found
 
     def status(self, inputs: Inputs) -> np.ndarray:
@@ -780,13 +784,13 @@ class BlockSequence(BlockEvent):
             "datum": np.arange(len(m), dtype=float),
         }
 
-    def _numbers(self, inputs: Inputs) -> Float[np.ndarray, "L 12"]:
-        """What a series depends on."""
+    def _numbers(self, inputs: Inputs) -> Float[np.ndarray, "L 13"]:
+        """What a series depends on, and how it is read."""
         given = {
             "log_ratio": inputs.get("log_sites") - inputs.log_height, "log_b": inputs.log_b, "poisson": inputs.poisson,
             "prestress": inputs.prestress,
         }  # fmt: skip
-        return np.stack([given[name] if name in given else inputs.get(name) for name in (*GEOMETRY, *CONTACTS)], axis=-1)
+        return np.stack([given[name] if name in given else inputs.get(name) for name in UNITS], axis=-1)
 
     def _followed(self, inputs: Inputs, row: int) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, " t"]]:
         """Number of contacts on which series are followed; their excess size.
@@ -809,7 +813,8 @@ class BlockSequence(BlockEvent):
             top = "held" if inputs.get("top_held").flat[rows[0]] else "free"
             height = self._followed(inputs, rows[0])[0] / np.exp(numbers[:, GEOMETRY.index("log_ratio")])
             of_block, first = len(GEOMETRY), len(self.clouds[group].numbers) + APART * group
-            yield rows, followed(numbers[:, :of_block], numbers[:, of_block:], height, top=top, first=first)
+            contacts = numbers[:, of_block : of_block + len(CONTACTS)]
+            yield rows, followed(numbers[:, :of_block], contacts, height, top=top, first=first)
 
     def follow(self, inputs: Inputs) -> None:
         """Add series of every sequence at inputs of shape (t, n)."""

@@ -45,11 +45,12 @@ class Linear:
 
 
 def _is_number(x: Any) -> bool:
+    if not isinstance(x, int | float | np.number | np.ndarray | jax.Array) or (isinstance(x, int) and abs(x) >= 2**63):
+        return False  # NumPy takes no larger ones
     try:
-        plain = in_unit("", x) is x and not np.ndim(real_numbers("", x))
+        return in_unit("", x) is x and not np.ndim(real_numbers("", x))
     except (TypeError, ValueError):
         return False
-    return plain and (not isinstance(x, int) or abs(x) < 2**63)  # NumPy takes no larger ones
 
 
 @dataclasses.dataclass(frozen=True)
@@ -297,9 +298,8 @@ def parameter_set(
     for parameter, label, rows in (*_asked(m, chosen), *_uncertain(m, front), *_arrests(m)):
         name = parameter.name
         reference, unit = inputs.get(name, _reference(m, name)), m.metres if name == "offset" else 1
-        acts = {target: size * rows / unit for target, size in PARAMETERS[name].acts.items()}  # of a unit of θ
-        if name == "block_width" and m.heading("force").endswith("_per_mm"):
-            acts["reach"] = -rows.astype(float)  # of the load alone
+        of_kind = _by_width(m) if name == "block_width" else PARAMETERS[name].acts
+        acts = {target: size * rows / unit for target, size in of_kind.items()}  # of a unit of θ
         if parameter.value is not None:
             held[name] = parameter.value
             shift = (np.log(parameter.value) if PARAMETERS[name].log else parameter.value) - reference
@@ -375,6 +375,12 @@ def _free(m: Measurements, front: Front, parameter: Parameter, label: str, rows:
     numbers, unit = (float(low), float(high), mean, sigma), kind.unit[m.in_si]
     symbol = kind.symbol or front.inputs[parameter.name].symbol
     return Free(label, parameter.name, symbol, unit, kind.log, *numbers, parameter.nuisance)
+
+
+def _by_width(m: Measurements) -> dict[str, float]:
+    """What the width of a block acts on: whatever a table states over all of it."""
+    force, load = (float(m.heading(name).endswith("_N")) for name in ("force", "normal_load"))
+    return {"force": force, "reach": force - load, "log_machine": -float(m.heading("machine_stiffness").endswith("_per_m"))}
 
 
 def stated_errors(m: Measurements, front: Front) -> dict[str, np.ndarray]:

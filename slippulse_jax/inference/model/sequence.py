@@ -171,7 +171,8 @@ def _series(aged: bool, wide: bool, scattered: bool, top: Top) -> Kernel:
     return of_lane
 
 
-UNITS = dict(zip((*GEOMETRY, *CONTACTS), (0.03, 0.05, 0.05, 0.1, 0.2, 0.06, 0.06, 0.03, 0.3, 0.06, 0.2, 0.02), strict=True))
+SIZES = 0.03, 0.05, 0.05, 0.1, 0.2, 0.06, 0.06, 0.03, 0.3, 0.06, 0.2, 0.02, 0.05
+UNITS = dict(zip((*GEOMETRY, *CONTACTS, "log_extent"), SIZES, strict=True))  # the last of how places are read
 """Least half-width of a cloud in each number: the slope over less is that of single orders of breaks."""
 REACH, SCATTER, USUAL_REACH, USUAL_SCATTER = (3.0, 60.0), (1e-3, 1.0), 6.0, 0.03
 """Lengths of a surface, in `UNITS`, and its scatter over its size, squared: their ranges, and those that are not tuned."""

@@ -15,7 +15,15 @@ from scipy.special import chdtrc, ndtri
 
 from slippulse_jax.block import USUAL_NORMAL_STIFFNESS
 from slippulse_jax.inference.model.fronts import BlockEvent, BlockSequence, Front, front_for, front_of
-from slippulse_jax.inference.model.parameters import HEIGHTS, MODEL_ERROR, STIFFNESSES, Parameter, ParameterSet, parameter_set
+from slippulse_jax.inference.model.parameters import (
+    HEIGHTS,
+    MODEL_ERROR,
+    PARAMETERS,
+    STIFFNESSES,
+    Parameter,
+    ParameterSet,
+    parameter_set,
+)
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.inference.search.clouds import gathered
 from slippulse_jax.inference.search.intervals import LEVELS, Interval, Intervals
@@ -436,9 +444,10 @@ def total_intervals(result: "FitResult", name: str, moved: Sequence[Change]) -> 
     """The intervals widened by errors of inputs, where these are known.
 
     Piece by piece, on either side of the root in it, in quadrature; of a positive parameter in its logarithm. An open side
-    stays open, and pieces that meet are one.
+    stays open, and pieces that meet are one. None reaches beyond the domain.
     """
     one, roots, found = result.parameters.named(name), [result.values[name], *(root.values[name] for root in result.roots)], {}
+    least, most = PARAMETERS[one.name].limits
     moves = np.array([change.both(name) for change in of_inputs(moved)]).reshape(-1, 2)
     by = np.linalg.norm([moves.min(axis=1), moves.max(axis=1)], axis=1)
     for level, pieces in result.intervals.get(name, {}).items() if np.isfinite(by).all() else ():
@@ -447,8 +456,8 @@ def total_intervals(result: "FitResult", name: str, moved: Sequence[Change]) -> 
             low, high = one.theta(piece.low), one.theta(piece.high)
             centre = next((one.theta(root) for root in roots if piece.low <= root <= piece.high), (low + high) / 2)
             down, up = np.hypot([centre - low, high - centre], ndtri((1 + level) / 2) * by).tolist()
-            low = piece.low if piece.open_low else one.value(centre - down)
-            high = piece.high if piece.open_high else one.value(centre + up)
+            low = piece.low if piece.open_low else max(one.value(centre - down), min(least, piece.low))
+            high = piece.high if piece.open_high else min(one.value(centre + up), max(most, piece.high))
             before = wider.pop() if wider and wider[-1].high >= low else piece._replace(low=low)
             wider.append(piece._replace(low=before.low, high=high, open_low=before.open_low))
         found[level] = wider
