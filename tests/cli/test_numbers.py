@@ -91,3 +91,7 @@ def test_a_table_from_standard_input():
         done = CliRunner().invoke(fit.command, ["-"], input=text.encode())
         assert done.exit_code == 2
         assert said in done.stderr
+    for twice in (["-", "--gauges", "-"], ["-", "--request", "-"], ["x.csv", "--gauges", "-", "--request", "-"]):
+        done = CliRunner().invoke(fit.command, twice, input=table.encode())
+        assert done.exit_code == 2
+        assert "- is standard input, which can be read once" in done.stderr

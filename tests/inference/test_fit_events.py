@@ -18,7 +18,7 @@ import slippulse_jax as sp
 from slippulse_jax import plot
 from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.model import fronts
-from slippulse_jax.inference.model.fronts import WholeEvent, front_for
+from slippulse_jax.inference.model.fronts import FirstFront, WholeEvent, front_for
 from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.result.record import as_request, from_request
 from slippulse_jax.inference.result.verdict import Identifiability
@@ -129,6 +129,18 @@ def test_lengths_unlike_all_that_were_measured_come_from_lower_sliders():
         found = WholeEvent(m).lengths(inputs)
         assert found[target] == exact[target]
         np.testing.assert_allclose(found, exact, rtol=0.01)
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize(("prestress", "b"), [(0.4, 30.0), (0.45, 20.0)])
+def test_events_that_a_prestress_carries_far_beyond_their_front_are_looked_at(prestress, b):
+    """By more than the factor within which lengths are like those measured: the event is compared, not its front."""
+    height = np.array([1600.0])
+    inputs = Inputs.of(height, b / (2.6 * height), 0.3, prestress=prestress)
+    exact = WholeEvent().lengths(inputs)
+    assert exact > fronts.UNLIKE * FirstFront().lengths(inputs)
+    m = sp.Measurements(height, 0.3, exact, 1.0, prestress=prestress)
+    assert WholeEvent(m).lengths(inputs) == exact
 
 
 @pytest.mark.ci

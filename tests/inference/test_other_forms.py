@@ -197,6 +197,26 @@ def test_a_sequence_without_forces_says_that_they_lack(rows, door):
         door(rows, event="sequence")
 
 
+@pytest.mark.parametrize("held", [True, False])
+@pytest.mark.parametrize("body", ["slider", "block", "sequence"])
+@pytest.mark.parametrize(
+    "name", ["push_height", "push_width", "block_length", "block_width", "normal_stiffness", "force_offset"]
+)
+def test_a_parameter_without_its_column_is_refused(name, body, held):
+    """Held at a value it was added to a default, or to nothing; what no part of the model has moved nothing."""
+    if body == "sequence" and name not in ("push_width", "normal_stiffness"):
+        pytest.skip("a sequence needs it, and says so before")
+    file = ROOT / "fit_examples" / {"slider": "pmma_block", "block": "pushed_block"}.get(body, "sequence") / "lengths.csv"
+    rows = pd.read_csv(file, comment="#")
+    rows = rows.drop(columns=[one for one in rows if one.startswith(name)])
+    options = {"fixed": {name: 0.003}, "free": ["stiffness"]} if held else {"free": ["stiffness", name]}
+    if body == "sequence":
+        options["free"].append("friction")
+    for door in (sp.fit, sp.objective):
+        with pytest.raises(ValueError, match=f"parameter {name}: "):
+            door(rows, **options)
+
+
 @pytest.mark.parametrize(
     ("columns", "held", "free"),
     [

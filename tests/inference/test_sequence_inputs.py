@@ -179,6 +179,34 @@ def test_an_error_of_an_input_is_a_nuisance_that_acts_as_its_column(name, forces
     assert any(np.abs(own - still).max() > 1e-4 for own, still in zip(moved, in_the_model(m), strict=True))
 
 
+@pytest.mark.parametrize("load", ["N", "N_per_mm"])
+@pytest.mark.parametrize("force", ["N", "N_per_mm"])
+@pytest.mark.parametrize("machine", [None, 3e7])
+def test_a_width_acts_on_what_is_stated_over_all_of_it(force, load, machine):
+    rows = table(**({} if machine is None else {"machine_stiffness_N_per_m": machine})).assign(block_width_sigma_mm=0.1)
+    if (force, load, machine) == ("N_per_mm", "N_per_mm", None):
+        return  # no width
+    names = {f"force{end}_N": f"force{end}_{force}" for end in ("", "_sigma")} | {"normal_load_N": f"normal_load_{load}"}
+    m = sp.Measurements.from_dataframe(rows.rename(columns=names))
+    q = parameter_set(m, BOTH, BlockSequence(m))
+    at = [one.name for one in q.free].index("block_width")
+    by = {"reach": (force == "N") - (load == "N"), "force": force == "N"}
+    assert {name: q.scales[name].slope[0, at] for name in by} == by
+    moved = [q.inputs.at(np.eye(len(q.free))[at] * x).get("log_machine") for x in (0.0, 1.0)]
+    np.testing.assert_array_equal(moved[1] - moved[0], -1.0) if machine else np.testing.assert_array_equal(*moved)
+
+
+def test_the_length_over_which_places_are_read_is_a_coordinate_of_surfaces():
+    """With errors of all lengths of a block stated, no combination of them leaves a series and its reading as they were."""
+    errors = {"height_sigma_mm": 0.3, "push_height_sigma_mm": 0.05, "push_width_sigma_mm": 0.03, "block_length_sigma_mm": 0.9}
+    m = sp.Measurements.from_dataframe(table().assign(**errors))
+    q = parameter_set(m, BOTH, BlockSequence(m))
+    theta = np.array([one.prior_mean if one.nuisance else (one.low + one.high) / 2 for one in q.free])
+    numbers = [q.front._numbers(q.inputs.at(theta + step))[0] for step in (0 * theta, *(1e-3 * np.eye(len(theta))))]
+    still, *moved = np.nan_to_num(numbers, posinf=0.0)
+    assert np.linalg.matrix_rank((moved - still) / 1e-3, tol=0.1) == len(theta) == 6
+
+
 @pytest.mark.ci
 def test_forces_have_errors_as_other_inputs_have(six):
     """Forces larger by 1 % are a friction larger by 1 %, less the change of the tilt; and a normal load smaller by 1 %."""

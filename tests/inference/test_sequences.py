@@ -12,7 +12,7 @@ import slippulse_jax as sp
 from benchmarks import sequence_coverage
 from slippulse_jax.inference.model.check import checked
 from slippulse_jax.inference.model.fronts import BlockSequence
-from slippulse_jax.inference.model.sequence import CONTACTS, GEOMETRY, SITES, Cloud, Surface, followed
+from slippulse_jax.inference.model.sequence import CONTACTS, GEOMETRY, SITES, UNITS, Cloud, Surface, followed
 from slippulse_jax.inference.result.samples import simulated
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.inference.search.clouds import _sized
@@ -191,7 +191,7 @@ def test_series_followed_are_those_of_the_package(ageing, scatter):
 
 def test_a_surface_is_smooth_and_knows_its_scatter():
     """Values without scatter; two that scatter together; and contacts of two sizes, continued to none."""
-    random, numbers = np.random.default_rng(3), np.tile(np.linspace(0.1, 0.2, len(GEOMETRY) + len(CONTACTS)), (200, 1))
+    random, numbers = np.random.default_rng(3), np.tile(np.linspace(0.1, 0.2, len(UNITS)), (200, 1))
     b, friction = random.uniform(-0.2, 0.2, 200), random.uniform(0.25, 0.35, 200)
     at = len(GEOMETRY) + CONTACTS.index("log_b"), len(GEOMETRY) + CONTACTS.index("friction")
     numbers[:, at[0]], numbers[:, at[1]] = b, friction

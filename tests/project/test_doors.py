@@ -1,5 +1,8 @@
 """Whatever takes numbers looks at what it is given: units, masks, and what is no number, at every door."""
 
+from decimal import Decimal
+from fractions import Fraction
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -107,6 +110,8 @@ ODD = {
     "records": np.array([(25.0,), (26.0,)], [("height", float)]),
     "booleans": np.array([True, False]),
     "boolean": True,
+    "boolean among numbers": [25.0, True],
+    "booleans among numbers": [np.True_, 25.0],
     "booleans of JAX": jnp.array([True, False]),
     "text": "2_5",
     "texts": ["2_5", "25"],
@@ -199,6 +204,13 @@ def test_what_is_no_number_is_refused_by_name(odd):
     for door, name in DOORS_IN_SI:
         with pytest.raises((TypeError, ValueError), match=name):
             through(door, name, ODD[odd])
+
+
+@pytest.mark.parametrize("x", [Fraction(3, 10), Decimal("0.3"), 10**400, -(10**400)])
+@pytest.mark.parametrize("key", ["value", "prior", "bounds"])
+def test_numbers_that_numpy_does_not_take_are_none_of_a_parameter(key, x):
+    with pytest.raises(ValueError, match=f"parameter poisson: {key} = .*: must be "):
+        sp.Parameter("poisson", **{key: x if key == "value" else (x, 1.0)})
 
 
 def test_a_block_takes_one_number_each():

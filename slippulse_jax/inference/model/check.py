@@ -69,12 +69,13 @@ def checked(
     names = [one.name for one in chosen]
     for one in chosen:
         _check_meaning(m, one, names)
-        if not PARAMETERS[one.name].acts.keys() & {*front.inputs, *COMMON, *SCALES}:
-            raise ValueError(f"parameter {one.name}: no part of the model of {front.name}")
     _check_complete(m, chosen)
     if missing := [name for name in front.columns if name not in m.other]:
         raise ValueError(f"{m.source}: the model reads the column {missing[0]}, which is not there")
     front.check(m, {*names})
+    for name in names:
+        if not PARAMETERS[name].acts.keys() & {*front.inputs, *COMMON, *SCALES}:
+            raise ValueError(f"parameter {name}: no part of the model, of a {front.name}")
     for name in stated_errors(m, front):
         if name in names:
             error = "the measurements state its error: give it a prior there, or leave it out here"
@@ -93,7 +94,6 @@ def _check_meaning(m: Measurements, one: Parameter, names: Sequence[str]) -> Non
     stiffness = stiffness_name(m)
     if names.count(one.name) > 1:
         raise ValueError(f"parameter {one.name} is given {names.count(one.name)} times")
-    _check_stated(m, one)
     if one.name in OF_SEQUENCES:
         _check_of_sequences(m, one, names)
     if one.name == "arrest":
@@ -102,6 +102,7 @@ def _check_meaning(m: Measurements, one: Parameter, names: Sequence[str]) -> Non
         raise ValueError(f"parameter {one.name}: these measurements determine {stiffness}")
     if one.name in NEEDS_SI and not m.in_si:
         raise ValueError(f"parameter {one.name}: needs measurements in SI, with their correlation length")
+    _check_stated(m, one)
     if one.each == "specimen" and not m.specimen:
         raise ValueError(f"parameter {one.name}: each = 'specimen', but the measurements name no specimens")
     if one.name == "model_factor" and one.prior is None and one.value is None:

@@ -378,7 +378,7 @@ def _free(m: Measurements, front: Front, parameter: Parameter, label: str, rows:
 
 
 def _by_width(m: Measurements) -> dict[str, float]:
-    """What the width of a block acts on: whatever a table states over all of it."""
+    """What a block's width acts on: all that is stated over it."""
     force, load = (float(m.heading(name).endswith("_N")) for name in ("force", "normal_load"))
     return {"force": force, "reach": force - load, "log_machine": -float(m.heading("machine_stiffness").endswith("_per_m"))}
 
