@@ -83,7 +83,7 @@ def real_numbers(name: str, x: Any, unit: str = "", cell: Callable[[Any], float]
     quantity in another unit. A ValueError says that it is masked.
     """
     given, why = in_unit(name, x, unit), ""
-    if type(given) in PLAIN or (type(given) is np.ndarray and given.dtype.kind == "f"):
+    if type(given) in (float, np.float64) or (type(given) is np.ndarray and given.dtype.kind == "f"):
         return np.asarray(given, dtype=np.float64)
     for one in given if isinstance(given, list | tuple) else (given,):
         mask = getattr(one, "mask", None)

@@ -129,6 +129,10 @@ def test_lengths_unlike_all_that_were_measured_come_from_lower_sliders():
         found = WholeEvent(m).lengths(inputs)
         assert found[target] == exact[target]
         np.testing.assert_allclose(found, exact, rtol=0.01)
+    few = inputs.take(np.array([0, 1]))
+    rough = sp.Measurements(height[:1], 0.3, exact[1:2], exact[1] / 4)  # within its errors b = 1 is like it
+    assert exact[0] < exact[1] / fronts.UNLIKE
+    np.testing.assert_array_equal(WholeEvent(rough).lengths(few), exact[:2])
 
 
 @pytest.mark.ci

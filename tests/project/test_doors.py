@@ -117,6 +117,8 @@ ODD = {
     "texts": ["2_5", "25"],
     "digits of full width": ["２５"],
     "ragged": [[25.0], [25.0, 26.0]],
+    "too large for a float": 10**400,
+    "one of them too large": [25.0, 10**400],
     "object": object(),
 }
 

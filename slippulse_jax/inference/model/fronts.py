@@ -78,7 +78,7 @@ SPACING = [0.25, 0.2, 0.1, 0.1, 0.1]
 FARTHEST, AT_LEAST = 8.0, 2**12
 """Length over H, and contacts, from which on a front through a machine or under an end counts as one that never stops."""
 UNLIKE, LOW = 1.1, 400.0
-"""Factor from all measured lengths over H beyond which a whole event is taken from a slider of at most this H/λc."""
+"""Beyond four errors and this factor from all measured lengths over H, an event is that of a slider of at most this H/λc."""
 NEARBY = np.linspace(-0.15, 0.15, 13)
 """Changes of ln k/K over which the error of interpolated lengths is averaged, which step at single contacts."""
 
@@ -431,8 +431,9 @@ class WholeEvent(Front):
 
     def __init__(self, *tables: Measurements) -> None:
         self.ratios = Grid(SPACING, _over_front)
-        every = np.concatenate([np.empty(0), *(m.length / m.height for m in tables)])
-        self.least, self.largest = every.min(initial=np.inf) / UNLIKE, every.max(initial=0.0) * UNLIKE
+        every = [(m.length + side * np.nan_to_num(m.sigma)) / m.height for m in tables for side in (-4, 4)]
+        self.least = min((shares.min() for shares in every), default=np.inf) / UNLIKE
+        self.largest = max((shares.max() for shares in every), default=0.0) * UNLIKE
 
     def check(self, m: Measurements, names: Collection[str]) -> None:
         """Refuse gauges and ends, which need the model of one front."""

@@ -17,6 +17,7 @@ from slippulse_jax.bulk.chunks import distinct_rows
 from slippulse_jax.domains import in_unit, real_numbers
 from slippulse_jax.inference.model.fronts import Front, front_of
 from slippulse_jax.inference.model.inputs import COMMON, Inputs
+from slippulse_jax.inference.table.columns import OVER_ALL
 from slippulse_jax.inference.table.measurements import Measurements
 from slippulse_jax.keywords import did_you_mean
 
@@ -379,8 +380,9 @@ def _free(m: Measurements, front: Front, parameter: Parameter, label: str, rows:
 
 def _by_width(m: Measurements) -> dict[str, float]:
     """What a block's width acts on: all that is stated over it."""
-    force, load = (float(m.heading(name).endswith("_N")) for name in ("force", "normal_load"))
-    return {"force": force, "reach": force - load, "log_machine": -float(m.heading("machine_stiffness").endswith("_per_m"))}
+    columns = map(m.heading, ("force", "normal_load", "machine_stiffness"))
+    force, load, machine = (float(column.endswith(OVER_ALL)) for column in columns)
+    return {"force": force, "reach": force - load, "log_machine": -machine}
 
 
 def stated_errors(m: Measurements, front: Front) -> dict[str, np.ndarray]:

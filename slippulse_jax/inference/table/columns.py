@@ -29,6 +29,8 @@ from slippulse_jax.domains import (
 from slippulse_jax.files import shortened
 from slippulse_jax.inference.choices import Template
 
+OVER_ALL = ("_N", "_N_per_m")
+"""Ends of the names of columns that are of the whole width of a block, by which they are divided."""
 SI = {"N": 1.0, "N_per_mm": 1e3, "N_per_m": 1.0, "mm": 1e-3, "um": 1e-6, "MPa": 1e6, "GPa": 1e9}
 """Units in which names of columns and options end, in SI."""
 UNITS_OF_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
@@ -309,7 +311,7 @@ def named(header: Sequence[str], where: str) -> Named:
         if missing == ["correlation_length_um"]:
             expected = "a guess where λc is not known, such as 10, with correlation_length_sigma_um (docs/fit/own_csv.md)"
         raise MeasurementError(f"{where}: no column {', '.join(missing)} among {', '.join(header)}; expected {expected}")
-    whole = [own for own, (column, _) in known.items() if own.endswith("_N") or column.value == "machine_stiffness"]
+    whole = [own for own in known if own.endswith(OVER_ALL)]
     of_width = [own for own, (column, _) in known.items() if column.value == "block_width"]
     if si and bool(whole) != bool(of_width):
         missed = COLUMNS["block_width"].name(in_si=True) if whole else "machine_stiffness_N_per_m, or forces in N"

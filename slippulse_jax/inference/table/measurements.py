@@ -22,6 +22,7 @@ from slippulse_jax.inference.table.columns import (
     IN_LC,
     NUMBER,
     NUMERIC,
+    OVER_ALL,
     UNITS_OF_LENGTH,
     MeasurementError,
     check_needs,
@@ -398,7 +399,7 @@ class Measurements:
     @property
     def unit_of_force(self) -> tuple[np.ndarray, str]:
         """1 N/m, (n,), in the table's unit of force, and that unit."""
-        if self.block_width is not None and self.heading("force").endswith("_N"):
+        if self.block_width is not None and self.heading("force").endswith(OVER_ALL):
             return self.block_width, "N"
         return np.full(len(self), 1e-3), "N/mm"
 

@@ -22,6 +22,7 @@ from slippulse_jax.inference.table.columns import (
     IN_LC,
     KNOWN,
     NUMBER,
+    OVER_ALL,
     MeasurementError,
     Named,
     check_rows,
@@ -54,10 +55,11 @@ _MADE_BY = (
 
 def of_dataframe(table: Any) -> Table:
     """Cells of a pandas.DataFrame."""
-    makes = next((makes for has, makes in _MADE_BY if hasattr(table, has)), "pandas.DataFrame(…)" * isinstance(table, Mapping))
-    if makes or not hasattr(table, "itertuples"):
+    kind = type(table)  # and not the table, which may have columns of these names
+    makes = next((makes for has, makes in _MADE_BY if hasattr(kind, has)), "pandas.DataFrame(…)" * isinstance(table, Mapping))
+    if makes or not hasattr(kind, "itertuples"):
         hint = f": {makes} makes one of it" * bool(makes)
-        raise TypeError(f"table is {type(table).__name__}: must be a pandas.DataFrame{hint}")
+        raise TypeError(f"table is {kind.__name__}: must be a pandas.DataFrame{hint}")
     if index := [name for name in table.index.names if name in KNOWN and name not in table.columns]:
         raise MeasurementError(f"table: {', '.join(index)} in the index, not among the columns: give table.reset_index()")
     header = (0, [str(column) for column in table.columns])
@@ -96,7 +98,7 @@ def read(table: Table, find: Callable[[list[str], str], Named]) -> dict[str, Any
     other = {own: column for own, column in cells.items() if own not in known}
     if "block_width" in values:
         for name in values:
-            if name.startswith("machine_stiffness") or of_numbers[name].endswith("_N"):
+            if of_numbers[name].endswith(OVER_ALL):
                 values[name] = values[name] / values["block_width"]
     found = {**values, **texts, f"{table.counted}s": numbers, "source": table.name, "other": other, "columns": of_numbers}
     return {**found, "skipped": tuple(table.skipped)}
