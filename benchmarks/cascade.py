@@ -18,7 +18,7 @@ import numpy as np
 import slippulse_jax as sp
 from benchmarks.timing import side_by_side
 from slippulse_jax.bodies.chain import State, eliminate
-from slippulse_jax.bodies.response import into_blocks, of_chain, propagators
+from slippulse_jax.bodies.response import of_chain, propagators
 from slippulse_jax.bulk.compiler import compile_loops_whole, lane_by_lane
 from slippulse_jax.events.event import event
 from slippulse_jax.paper import FIG2
@@ -124,10 +124,8 @@ def whole(upper, layer, across, contact, end, threshold, k, load, max_breaks):
 
 
 def order_of_breaks(stress, resp, chain):
-    size = resp.push.shape[1]
     log = jnp.full(1001, -1, jnp.int32), jnp.zeros(1001), 0
-    held, threshold = into_blocks(stress, size), into_blocks(chain.threshold, size, jnp.inf)
-    return event(resp, held, threshold, limit=1000, log=log).record.order[:-1]
+    return event(resp, stress[None], chain.threshold, limit=1000, log=log).order[:-1]
 
 
 def ruptures(sizes=(300, 3000), lanes=(1, 64)):

@@ -35,7 +35,7 @@ ANY = Layout(chunk=256, fusion_emitters=False)
 
 ROOM = 1.25
 """Sites resolved at first, over the length of the front: an event seldom goes a fifth farther."""
-FEW_SITES, MOST_SITES = 128, 2**13
+FEW_SITES, MOST_SITES = 128, 2**11
 """Smallest and largest number of sites resolved of a slider; longer events are followed on larger contacts."""
 ONE_BY_ONE = Layout(chunk=1, fusion_emitters=False)
 """Each lane is a loop of its own."""

@@ -132,7 +132,7 @@ def precursor_of(
         stress=stress,
         pressure_before=start.pressure,
         pressure=pressure,
-        slip=pinning @ start.response.near[0, :, 0],
+        slip=pinning @ start.response.matrix[:, 0],
         pinning=pinning,
         event=kind,
     )
@@ -142,8 +142,8 @@ def with_friction(body: Relaxed, friction: Array) -> Relaxed:
     """Contacts whose threshold follows their pressure, at a coefficient of friction, from those at 1."""
     if body.pressed is not None:
         return body._replace(pressed=body.pressed._replace(friction=friction))
-    near, push = (x.at[..., 1:, :].multiply(friction) for x in (body.response.near, body.response.push))
-    return body._replace(response=body.response._replace(near=near, push=push))
+    matrix, push = (x.at[..., 1:, :].multiply(friction) for x in (body.response.matrix, body.response.push))
+    return body._replace(response=body.response._replace(matrix=matrix, push=push))
 
 
 class BlockFields(NamedTuple):

@@ -8,7 +8,7 @@ the equivalent of an endless uniform interface, which makes the end exactly abso
 
 from collections.abc import Callable
 from types import NoneType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -24,6 +24,9 @@ from slippulse_jax.domains import check_choice, check_domain, check_kind, check_
 from slippulse_jax.interface import AnyInterface, Interface, Profile, check_no_delay
 from slippulse_jax.slider import Slider
 from slippulse_jax.units import as_float, at_least_single, quantity_field
+
+if TYPE_CHECKING:
+    from slippulse_jax.events.first import Relaxed
 
 ForceLaw = Callable[[Float[Array, " N"]], Float[Array, " N"]]
 
@@ -80,6 +83,16 @@ class Chain(eqx.Module):
         """Stress t_i on each contact, in σ_s."""
         attached = self.contact > 0
         return jnp.where(attached, self.contact_force(layer - pinning) / self.stiffness + self.prestress, 0)
+
+    def contacts(self, interface: AnyInterface = None, sites: int | None = None) -> "Relaxed":
+        """Its contacts before loading, all of them and its own, and what a push and a break do to them."""
+        from slippulse_jax.events.first import contacts_of_chain  # above: the body says where, and loads nothing else
+
+        check_linear(self, "what breaks do to a chain")
+        if interface is not None or sites not in (None, self.sites):
+            given = f"sites = {sites}" if interface is None else f"interface = {interface!r}"
+            raise ValueError(f"{given}: a chain of {self.sites} sites has its own contacts")
+        return contacts_of_chain(self)
 
 
 def chain(
@@ -225,30 +238,6 @@ def endless(bonds: Springs, contact: Array) -> Springs:
     )
 
 
-def driven(chain: Chain, stiffness: AnyArrayLike) -> Chain:
-    """Put a driver before the first site, tied by a spring.
-
-    The spring joins it to the upper layer; `stiffness` is in K.
-    """
-    dtype = chain.contact.dtype
-
-    def before(first: AnyArrayLike, rest: Array) -> Array:
-        return jnp.concatenate([jnp.asarray(first, dtype)[None], rest])
-
-    return eqx.tree_at(
-        lambda c: (c.upper, c.layer, c.across, c.contact, c.threshold, c.prestress),
-        chain,
-        (
-            before(stiffness, chain.upper),
-            before(0.0, chain.layer),
-            before(1.0, chain.across),  # the driver's idle interfacial site follows it and carries no force
-            before(0.0, chain.contact),
-            before(1.0, chain.threshold),
-            before(0.0, chain.prestress),
-        ),
-    )
-
-
 # --- elimination, site by site ---
 
 Pair = tuple[Array, Array]
@@ -276,7 +265,7 @@ def solve_pair(springs: Springs, force: Pair) -> Pair:
     )
 
 
-def through(bond: Pair, far: Springs) -> Springs:
+def in_series(bond: Pair, far: Springs) -> Springs:
     """Reduce `far` and one bond per layer, in series, to three springs."""
     B, K = bond
     held = Springs(B + far.upper, K + far.layer, far.across)
@@ -294,7 +283,7 @@ def eliminate(chain: Chain, contact: Float[Array, " N"]) -> Springs:
 
     def step(far: Springs, bond_and_site: tuple) -> tuple[Springs, Springs]:
         B, K, across, contact = bond_and_site
-        seen = through((B, K), beside(far, across, contact))
+        seen = in_series((B, K), beside(far, across, contact))
         return seen, seen
 
     end = Springs(*(jnp.asarray(x, contact.dtype) for x in chain.end))

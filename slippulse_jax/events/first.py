@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from slippulse_jax.bodies.chain import Chain, chain, eliminate
+from slippulse_jax.bodies.chain import Chain, Springs, chain, eliminate, floats
 from slippulse_jax.bodies.equilibrium import all_numbers
 from slippulse_jax.bodies.modes import RightEnd
 from slippulse_jax.bodies.response import Response, of_chain
@@ -37,7 +37,6 @@ class Relaxed(NamedTuple):
     stiffness: Array | float = 1.0  # k, in K
     last: Int[Array, ""] | int = -1  # index of the last contact, or of the last one resolved
     valid: Bool[Array, ""] | bool = True  # whether all numbers lie in their domains
-    driver: int = 0  # sites before those of the body: the driver's
     pressed: Any = None  # `blocks.pressed.Pressed`, where stiffness follows the pressure too; stresses are stretches then
     alike: Bool[Array, ""] | bool = False  # whether neighbouring contacts are: a first event ends on a curve
 
@@ -46,43 +45,48 @@ class Relaxed(NamedTuple):
         """The prestress and, where it is read, the initial pressure."""
         return jnp.stack([self.prestress, jnp.ones_like(self.prestress)])[: len(self.response.push)]
 
+    def up_to(self, last: int | Array) -> "Relaxed":
+        """The same body whose contacts beyond `last` never break."""
+        there = jnp.arange(self.threshold.size) <= last
+        threshold, prestress = jnp.where(there, self.threshold, jnp.inf), jnp.where(there, self.prestress, 0)
+        return self._replace(threshold=threshold, prestress=prestress, last=last)
+
     def through(self, spring: Any) -> "Relaxed":
         """The same body with its pusher pulled through a spring, in K."""
         pressed = None if self.pressed is None else self.pressed.through(spring, self.stiffness)
         return self._replace(response=self.response.through(spring, self.stiffness), pressed=pressed)
 
 
-def contacts_of_chain(body: Chain, response: Response, driver: int = 0) -> Relaxed:
-    """Contacts of a chain, given its response; of one that begins with sites of a driver, how many these are."""
+def contacts_of_chain(body: Chain, beyond: Springs | None = None, response: Response | None = None) -> Relaxed:
+    """Contacts of a chain, given its elimination from the right end and its response where they are known."""
+    beyond = eliminate(body, body.contact) if beyond is None else beyond
     attached = body.contact > 0
     prestress = jnp.where(attached, body.prestress, 0)
     holds = (body.threshold > prestress).all() & (body.threshold > 0).all()
     return Relaxed(
-        response=response,
+        response=of_chain(body, beyond) if response is None else response,
         threshold=jnp.where(attached, body.threshold, jnp.inf),
         prestress=prestress,
         stiffness=body.stiffness,
         last=body.sites - 1,
-        valid=all_numbers(body, body.relaxed()) & holds,
-        driver=driver,
-        alike=alike(body, jnp.zeros_like(prestress), driver),
+        valid=all_numbers(body, body.relaxed()) & holds & ~floats(body, beyond),
+        alike=alike(body, jnp.zeros_like(prestress)),
     )
 
 
 def contacts_of_slider(slider: Slider, interface: AnyInterface, sites: int, right: RightEnd = "semi-infinite") -> Relaxed:
     """The first contacts of a slider, or all of one that ends."""
-    whole = chain(slider, sites=sites, interface=interface, right=right)
-    return contacts_of_chain(whole, of_chain(whole, eliminate(whole, whole.contact)))
+    return contacts_of_chain(chain(slider, sites=sites, interface=interface, right=right))
 
 
-def alike(chain: Chain, pinning: Array, start: int = 0) -> Array:
-    """Whether from a site on nothing changes along a chain and its pinning points but thresholds and prestress, evenly."""
+def alike(chain: Chain, pinning: Array) -> Array:
+    """Whether nothing changes along a chain and its pinning points but thresholds and prestress, evenly."""
 
     def even(x: Array, order: int) -> Array:
         return (jnp.abs(jnp.diff(x, order)) <= ROUNDING * jnp.finfo(x.dtype).eps * jnp.abs(x).max()).all()
 
-    bonds = [even(x[start:], 1) for x in (chain.upper, chain.layer, chain.across, chain.contact, pinning)]
-    return jnp.stack([*bonds, even(chain.threshold[start:], 2), even(chain.prestress[start:], 2)]).all()
+    bonds = [even(x, 1) for x in (chain.upper, chain.layer, chain.across, chain.contact, pinning)]
+    return jnp.stack([*bonds, even(chain.threshold, 2), even(chain.prestress, 2)]).all()
 
 
 class Nucleation(NamedTuple):
@@ -149,7 +153,7 @@ def slopes_of_length(
     Of a logged event; `alike` as for its length. From the last break back to the first, λ is the derivative in the readings of
     every contact: a break of contact o that released t set its stress to zero and added t times its column.
     """
-    order, each, near = found.order, found.each, start.response.near[0]
+    order, each, matrix = found.order, found.each, start.response.matrix
     assert order is not None
     assert each is not None
     at, over, degree = found.front_of(alike)
@@ -164,16 +168,17 @@ def slopes_of_length(
     of_threshold = of_threshold.at[ahead].add(-of_short * (1 if found.pressure is None else found.pressure[ahead]))
 
     def back(state: tuple) -> tuple:
-        number, of_readings, of_near = state
+        number, of_readings, of_matrix = state
         site, t, front = order[number], each[number], jnp.where(number == passed, of_over, 0)
-        of_t = (near[site] * of_readings).sum()
-        of_near = of_near.at[site].add(of_readings * t)
+        of_t = (matrix[site] * of_readings).sum()
+        of_matrix = of_matrix.at[site].add(of_readings * t)
         passing = jnp.stack([front.sum(), -(front * weak).sum()])[: len(of_readings)]
-        return number - 1, of_readings.at[0, site].set(of_t).at[:, site].add(passing), of_near
+        return number - 1, of_readings.at[0, site].set(of_t).at[:, site].add(passing), of_matrix
 
     begin = jnp.zeros_like(found.readings).at[:, ahead].add(jnp.stack([of_short, -of_short * short])[: len(found.readings)])
-    _, of_readings, of_near = lax.while_loop(lambda state: state[0] >= 0, back, (found.breaks - 1, begin, jnp.zeros_like(near)))
-    return of_readings, of_near, of_threshold
+    last = found.breaks - 1, begin, jnp.zeros_like(matrix)
+    _, of_readings, of_matrix = lax.while_loop(lambda state: state[0] >= 0, back, last)
+    return of_readings, of_matrix, of_threshold
 
 
 def ended(found: Event, start: Nucleation, body: Relaxed, kind: EventKind) -> tuple[Int[Array, ""], Float[Array, ""]]:
@@ -213,7 +218,7 @@ def _length_jvp(kind: EventKind, primals: tuple, tangents: tuple) -> tuple[Array
     (start, body), (moved, changed) = primals, tangents
     found = event_from(start, body, kind=kind, logged=True)
     length = ended(found, start, body, kind)[1]
-    changes = moved.readings, moved.response.near[0], changed.threshold
+    changes = moved.readings, moved.response.matrix, changed.threshold
     slopes = slopes_of_length(found, start, body.threshold, body.alike)
     change = sum(jax.tree.leaves(jax.tree.map(lambda slope, x: (slope * x).sum(), slopes, changes)))
     return length, change * jnp.where(jnp.isfinite(length), 1, jnp.nan)  # without a length there is no derivative either

@@ -26,8 +26,7 @@ from jaxtyping import Array, Float, Int
 
 from slippulse_jax.bodies.chain import Chain, Springs, State, check_linear, eliminate
 from slippulse_jax.bodies.equilibrium import Equilibrium, all_numbers, equilibrium, in_balance, or_harmless
-from slippulse_jax.bodies.response import Response, propagators, shared_response
-from slippulse_jax.bulk.compiler import lane_by_lane
+from slippulse_jax.bodies.response import Response, propagators, with_response
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import check_kind, check_whole
 from slippulse_jax.events.event import BREAKS_PER_SITE, event, most, rises
@@ -254,7 +253,7 @@ def _between_equilibria(
 
 
 def one_rupture(
-    limits: tuple[int, int], resp: Response, beyond: Springs, chain: Chain, state: State, trigger: Array
+    limits: tuple[int, int], beyond: Springs, response: Response, chain: Chain, state: State, trigger: Array
 ) -> Rupture:
     """Follow the `rupture` of one chain, of which `beyond` is the elimination from its right end.
 
@@ -266,7 +265,7 @@ def one_rupture(
         # a detached contact cannot break
         threshold = jnp.where(good & (chain.contact > 0), chain.threshold, jnp.inf)
         found = event(
-            resp,
+            response,
             jnp.where(good, stress, 0)[None],
             threshold,
             limit=max_breaks,
@@ -286,7 +285,7 @@ def one_rupture(
             "released": found.each[:-1],
             "breaks": found.breaks,
             "broken": found.times.astype(stress.dtype),
-            "slip": found.released * resp.soft,
+            "slip": found.released * response.soft,
             "extent": found.rightmost + 1,
             "length": found.length(excess, last, alike(chain, state.pinning) & (delay == 0)),
             "stress": found.stress,
@@ -296,8 +295,7 @@ def one_rupture(
 
 
 def _hard_rupture(limits: tuple[int, int], chain: Chain, state: State, trigger: Array) -> Rupture:
-    beyond, resp = shared_response(chain)
-    return lane_by_lane(partial(one_rupture, limits), resp, beyond, chain, state, trigger)
+    return with_response(partial(one_rupture, limits), chain, state, trigger)
 
 
 _undifferentiated = without_derivative(

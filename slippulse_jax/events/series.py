@@ -25,9 +25,8 @@ from jaxtyping import Array, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.block import Block, checked_sites
-from slippulse_jax.bodies.chain import Chain, State, check_linear, driven, floats, potential_energy
-from slippulse_jax.bodies.equilibrium import equilibrium
-from slippulse_jax.bodies.response import Response, shared_response
+from slippulse_jax.bodies.chain import Chain, Springs, State, check_linear
+from slippulse_jax.bodies.response import Response, with_response
 from slippulse_jax.bulk.compiler import lane_by_lane
 from slippulse_jax.bulk.double import in_double
 from slippulse_jax.derivatives import without_derivative
@@ -74,7 +73,7 @@ class Spring(eqx.Module):
 Protocol = Adiabatic | Steps | Spring
 
 Shape = tuple[int, int, int, int]
-"""Numbers that set the shape of a compiled series: events, recorded breaks, delay, sites."""
+"""Numbers that set the shape of a compiled series: events, recorded breaks, delay, contacts resolved."""
 
 
 class Loading(NamedTuple):
@@ -85,6 +84,7 @@ class Loading(NamedTuple):
     until: Float[Array, ""]  # load; inf for none
     when_spanning: Array  # whether with the first event that breaks the last contact
     max_breaks: Int[Array, ""]  # of one event
+    last: Int[Array, ""]  # contact that may break, of those resolved
 
 
 FADED = 1e-3
@@ -173,13 +173,16 @@ def series(
         POSITIVE.check(f"{type(protocol).__name__}.{name}", getattr(protocol, name, 1.0))
     if isinstance(body, Block) and body.friction is not None and repin_delay:
         raise ValueError(f"repin_delay = {repin_delay}: contacts of a block with friction repin at once")
-    shape = events, recorded_breaks, repin_delay, sites
+    # of a block, which says itself where it ends, a power of two, so that similar ones share a program
+    resolved = 1 << (sites - 1).bit_length() if isinstance(body, Block) else sites
+    shape = events, recorded_breaks, repin_delay, resolved
     run_series = _hard_series if isinstance(body, Chain) else in_double(_hard_series)
     with jax.debug_infs(False):  # nothing ends a series without `until`, and the extent of an event that spans is inf
-        until = jnp.asarray(jnp.inf if until is None else as_float("until", until), jnp.asarray(body.stiffness).dtype)
+        until = jnp.asarray(jnp.inf if until is None else as_float("until", until))
         most = jnp.asarray(BREAKS_PER_SITE * sites if max_breaks is None else max_breaks, jnp.int32)
-        loading = Loading(protocol, ageing, until, jnp.asarray(stop_when_spanning), most)
-        return run_series(shape, body, interface, loading)
+        loading = Loading(protocol, ageing, until, jnp.asarray(stop_when_spanning), most, jnp.asarray(sites - 1, jnp.int32))
+        found = run_series(shape, body, interface, loading)
+    return found._replace(state=State(found.state.pinning[..., :sites], found.state.load))
 
 
 def _sites_of_block(block: Block, interface: AnyInterface, sites: int | None, protocol: Protocol) -> int:
@@ -196,56 +199,35 @@ def _sites_of_block(block: Block, interface: AnyInterface, sites: int | None, pr
 
 
 def _series(shape: Shape, body: Any, interface: AnyInterface, loading: Loading) -> Catalogue:
-    if not isinstance(body, Chain):
-        return lane_by_lane(partial(_resolved, shape), body, interface, loading)
-    chain = driven(body, loading.protocol.stiffness) if isinstance(loading.protocol, Spring) else body
-    beyond, resp = shared_response(chain)
-    return lane_by_lane(partial(_of_chain, shape), chain, resp, floats(chain, beyond), loading)
+    if isinstance(body, Chain):
+        return with_response(partial(_of_chain, shape), body, loading)
+    return lane_by_lane(partial(_resolved, shape), body, interface, loading)
 
 
-def _of_chain(shape: Shape, chain: Chain, resp: Response, floating: Array, loading: Loading) -> Catalogue:
-    """Series of a chain, which begins with the site of the driver if it is pulled through a spring."""
-    relaxed = contacts_of_chain(chain, resp, chain.sites - shape[-1])
-    relaxed = relaxed._replace(valid=relaxed.valid & ~floating)
-    end = load_through(shape, relaxed, loading)
-    state = State(resp.soft * end.released, end.load)
-    solved = equilibrium(chain, state)
-    stored = potential_energy(chain, (solved.upper, solved.layer), state.pinning)
-    return _catalogue(relaxed, end, state, solved.stress, stored)
+def _of_chain(shape: Shape, beyond: Springs, response: Response, chain: Chain, loading: Loading) -> Catalogue:
+    return of_contacts(shape, contacts_of_chain(chain, beyond, response), loading)
 
 
 def _resolved(shape: Shape, body: Any, interface: AnyInterface, loading: Loading) -> Catalogue:
-    sites = shape[-1]
-    # of a block, which says itself where it ends, a power of two, so that similar ones share a program
-    return of_matrix_body(
-        shape, body.contacts(interface, 1 << (sites - 1).bit_length() if isinstance(body, Block) else sites), loading
-    )
+    return of_contacts(shape, body.contacts(interface, shape[-1]), loading)
 
 
-def of_matrix_body(shape: Shape, body: Relaxed, loading: Loading) -> Catalogue:
-    """Series of the first contacts of a body whose response is a matrix; a spring to the driver makes the pusher give way."""
+def of_contacts(shape: Shape, body: Relaxed, loading: Loading) -> Catalogue:
+    """Series of the first contacts of a body; a spring to the driver makes its pusher give way."""
     if isinstance(loading.protocol, Spring):
         body = body.through(loading.protocol.stiffness)
-    response, threshold, k, sites = body.response, body.threshold, body.stiffness, shape[-1]
-    there = jnp.arange(threshold.size) < sites
-    prestress = jnp.where(there, body.prestress, 0)
-    sound = jnp.isfinite(response.near[:, :, 0]).all() & ((threshold > prestress) & (threshold > 0) | ~there).all()
-    body = body._replace(
-        threshold=jnp.where(there, threshold, jnp.inf),
-        prestress=prestress,
-        last=sites - 1,
-        valid=body.valid & sound,
-    )
+    body = body.up_to(loading.last)
+    response, threshold, prestress, k, *_ = body
+    sound = jnp.isfinite(response.matrix[:, 0]).all() & ((threshold > prestress) & (threshold > 0)).all()
+    body = body._replace(valid=body.valid & sound)
     end = load_through(shape, body, loading)
-    state, own = State((response.soft * end.released)[:sites], end.load), prestress[:sites]
-    u, p = state.load, state.pinning
-    driven, apart = u * response.push[0, :sites], p - p @ response.near[0, :sites, 0, :sites]
-    stored = response.edge_stiffness * u**2 / 2 + k * (p * (apart / 2 - driven - own)).sum()
-    afresh = own + driven - apart
+    u, pinning = end.load, response.soft * end.released
+    driven, held = u * response.push[0], end.released - end.released @ response.matrix[:, 0]
+    stored = response.edge_stiffness * u**2 / 2 + k * (pinning * (held / 2 - driven - prestress)).sum()
+    stress = prestress + driven - held
     if body.pressed is not None:
-        unbroken = jnp.full_like(prestress, jnp.inf)
-        afresh = body.pressed.balance(unbroken, prestress, response.soft * end.released, u).stretch[:sites]
-    return _catalogue(body, end, state, afresh, stored)
+        stress = body.pressed.balance(jnp.full_like(prestress, jnp.inf), prestress, pinning, u).stretch
+    return _catalogue(body, end, State(pinning, u), stress, stored)
 
 
 _hard_series = without_derivative(
@@ -355,17 +337,17 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
     stored, spans = now.stored + work - broken - relaxed, right == body.last
     kinds = {
         EventClass.SPANNING: spans,
-        EventClass.EDGE: first == body.driver,
-        EventClass.RENUCLEATED: (first > body.driver) & (now.last[jnp.maximum(first - 1, 0)] > now.last[first]),
+        EventClass.EDGE: first == 0,
+        EventClass.RENUCLEATED: (first > 0) & (now.last[jnp.maximum(first - 1, 0)] > now.last[first]),
     }
     row = {
         "load": load,
         "force_before": force_before,
         "force_after": force,
-        "site": first - body.driver,
-        "leftmost": found.leftmost - body.driver,
-        "extent": right + 1 - body.driver,
-        "length": jnp.where(spans, jnp.inf, found.length(excess, body.last, even)) - body.driver,
+        "site": first,
+        "leftmost": found.leftmost,
+        "extent": right + 1,
+        "length": jnp.where(spans, jnp.inf, found.length(excess, body.last, even)),
         "breaks": found.breaks,
         "slip": slip.sum(),
         "stress_drop": (per_stretch * (readings[0] - found.stress)).sum(),
@@ -381,7 +363,7 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
         Outcome.LIFT_OFF: jnp.any(jnp.stack(lifted)) if lifted else jnp.zeros((), bool),
         Outcome.LIMIT: over,
         Outcome.SPANNED: loading.when_spanning & spans,
-        Outcome.DONE: (now.number == now.rows["load"].size - 2) | (load >= loading.until),
+        Outcome.DONE: (now.number == now.rows["load"].size - 2) | (load >= loading.until.astype(load.dtype)),
     }
     place = jnp.where(begins, now.number, now.rows["load"].size - 1)
     return SeriesState(
@@ -424,11 +406,11 @@ def _catalogue(body: Relaxed, end: SeriesState, state: State, stress: Float[Arra
     return Catalogue(
         **columns,
         number=end.number,
-        break_site=jnp.where(known, end.order[:-1] - body.driver, -1),
+        break_site=jnp.where(known, end.order[:-1], -1),
         break_event=jnp.where(known, of_event, -1),
-        state=State(state.pinning[body.driver :], state.load),
+        state=state,
         strength=body.stiffness * jnp.where(jnp.isfinite(body.threshold), body.threshold, 0).sum(),
-        drift=jnp.abs(end.readings[0, : stress.size] - stress).max(),
+        drift=jnp.abs(end.readings[0] - stress).max(),
         energy_drift=jnp.abs(end.stored - stored),
         status=end.ending,
     )

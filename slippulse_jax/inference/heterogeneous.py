@@ -26,9 +26,8 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from slippulse_jax.bodies.modes import lattice_modes
-from slippulse_jax.bodies.response import of_slider
 from slippulse_jax.events.event import rises
-from slippulse_jax.events.first import Relaxed, first_event
+from slippulse_jax.events.first import first_event
 from slippulse_jax.front.front import end_of_front, sweep
 from slippulse_jax.inference.table.measurements import MeasurementError, Measurements
 from slippulse_jax.slider import Slider
@@ -179,8 +178,8 @@ _fronts = jax.jit(jax.vmap(lambda *lane: _front(*lane)[:2]))
 def _ruptures(*lanes: Array) -> tuple[Array, Array]:
     def one(lane: tuple[Array, ...]) -> tuple[Array, Array]:
         height, stiffness, poisson, theta, phi = lane
-        response = of_slider(lattice_modes(Slider(height, stiffness, poisson)), theta.size)
-        found, start = first_event(Relaxed(response, theta, phi), kind="full")
+        contacts = Slider(height, stiffness, poisson).contacts(None, theta.size)
+        found, start = first_event(contacts._replace(threshold=theta, prestress=phi), kind="full")
         excess = found.stress - theta
         stopped = (excess < 0).all() & (found.rightmost < theta.size - 1)
         return jnp.where(stopped, found.length(excess, theta.size - 1), jnp.nan), start.first

@@ -17,8 +17,9 @@ from slippulse_jax.blocks import elements, size
 from slippulse_jax.blocks import event as blocks
 from slippulse_jax.blocks import guide as waveguide
 from slippulse_jax.bodies.modes import ends_of, lattice_modes
+from slippulse_jax.events import series
 from slippulse_jax.events.first import Relaxed, first_event, length_of, smooth_length
-from slippulse_jax.events.series import Adiabatic, Loading, Spring, Steps, of_matrix_body
+from slippulse_jax.events.series import Adiabatic, Loading, Spring, Steps, of_contacts
 from slippulse_jax.rules import HARD
 from slippulse_jax.status import Outcome
 
@@ -125,7 +126,7 @@ def test_response_is_that_of_a_long_block(push):
     dense = whole(block, 160, reach=48)
     found = response(block, 48)
     np.testing.assert_allclose(found.push[0], dense.push, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(found.near[0, :, 0], dense.matrix, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found.matrix[:, 0], dense.matrix, rtol=0, atol=1e-10)
     for event in KINDS:
         order, stress, *_ = break_all(dense.push, dense.matrix, once=event == "domino")
         record = sp.first_precursor(block, sites=48, event=event)
@@ -144,7 +145,7 @@ def test_random_blocks_break_in_the_same_order(blocks):
         block = at_b(height, np.exp(rng.uniform(np.log(0.3), np.log(20))), push, poisson)
         dense = whole(block, int(12 * height))
         found = response(block, 64)
-        push, matrix = np.asarray(found.push[0]), np.asarray(found.near[0, :, 0])
+        push, matrix = np.asarray(found.push[0]), np.asarray(found.matrix[:, 0])
         for event in KINDS:
             once = event == "domino"
             order, *_ = break_all(dense.push, dense.matrix, once)
@@ -162,7 +163,7 @@ def test_the_curve_leaves_out_contacts_that_broke_before_those_to_their_left():
     for b, first in ((0.7784, [1, 0, 2]), (0.7843, [2, 1, 0])):
         block = at_b(10.0, b, sp.Push(0.4, 0.2))
         found = response(block, 64)
-        order, *_, length = break_all(np.asarray(found.push[0]), np.asarray(found.near[0, :, 0]), once=True)
+        order, *_, length = break_all(np.asarray(found.push[0]), np.asarray(found.matrix[:, 0]), once=True)
         assert order == [*first, 3, 4, 5, 6]
         lengths.append(float(sp.precursor_length(block, sites=64)))
         assert lengths[-1] == pytest.approx(length, abs=1e-9)
@@ -209,7 +210,7 @@ def test_an_interface_that_gives_way_across(push, contacts):
     dense, count = whole(block, contacts, reach=48), min(contacts, 48)
     found = response(block, 48)
     np.testing.assert_allclose(found.push[0][:count], dense.push, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(found.near[0, :, 0][:count, :count], dense.matrix, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found.matrix[:, 0][:count, :count], dense.matrix, rtol=0, atol=1e-10)
 
 
 @pytest.mark.slow
@@ -259,9 +260,9 @@ def test_a_block_with_a_free_end(push):
         np.testing.assert_allclose(
             found.push[0][:contacts], dense.push, rtol=1e-10 if push.control == "force" else 0, atol=1e-11
         )
-        np.testing.assert_allclose(found.near[0, :, 0][:contacts, :contacts], dense.matrix, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(found.matrix[:, 0][:contacts, :contacts], dense.matrix, rtol=0, atol=1e-11)
         assert not found.push[0][contacts:].any()
-        assert not found.near[0, :, 0][contacts:].any()
+        assert not found.matrix[:, 0][contacts:].any()
         for event in KINDS:
             order, stress, *_ = break_all(dense.push, dense.matrix, once=event == "domino")
             record = sp.first_precursor(block, event=event)
@@ -446,8 +447,8 @@ def test_slow_decay_is_that_of_an_edge_load(b):
 def test_far_from_the_edge_a_uniform_shift_is_followed():
     """R sums to one along a row."""
     found = response(at_b(5.0, 2.0, sp.Push(0.3)), 256)
-    np.testing.assert_allclose(found.near[0, :, 0][128].sum(), 1, atol=1e-6)
-    np.testing.assert_allclose(found.near[0, :, 0], found.near[0, :, 0].T, atol=1e-13)
+    np.testing.assert_allclose(found.matrix[:, 0][128].sum(), 1, atol=1e-6)
+    np.testing.assert_allclose(found.matrix[:, 0], found.matrix[:, 0].T, atol=1e-13)
 
 
 @pytest.mark.slow
@@ -460,7 +461,7 @@ def test_forces_are_in_balance_and_a_break_loses_its_energy():
     def state(pinning):
         x = waveguide.columns(guide, jnp.asarray(k), jnp.asarray(load), pinning)
         found = response(block, 200)
-        stretch = load * found.push[0] + found.near[0, :, 0] @ pinning - pinning
+        stretch = load * found.push[0] + found.matrix[:, 0] @ pinning - pinning
         edge = guide.edge
         force = edge.left[0, 0] * load + edge.across[0] @ x[1] - k * edge.reading_left[0, 0] * pinning[0]
         return float(force), np.asarray(stretch)
@@ -472,7 +473,7 @@ def test_forces_are_in_balance_and_a_break_loses_its_energy():
 
     force, stretch = state(pinning)
     assert force == pytest.approx(k * stretch.sum(), rel=1e-9)
-    j, matrix = 5, np.asarray(response(block, 200).near[0, :, 0])
+    j, matrix = 5, np.asarray(response(block, 200).matrix[:, 0])
     lost = energy(pinning) - energy(pinning.at[j].add(stretch[j]))
     assert lost == pytest.approx(k * stretch[j] ** 2 * (1 + matrix[j, j]) / 2, rel=1e-8)
 
@@ -752,7 +753,8 @@ def test_a_series_of_the_slider_as_a_waveguide(protocol):
         guide, k = slider_guide(slider), jnp.asarray(slider.stiffness)
         one = jnp.ones(sites)
         body = Relaxed(waveguide.response(guide, k, sites), one, 0 * one, k, sites - 1, alike=True)
-        return of_matrix_body((12, 0, 0, sites), body, Loading(protocol, None, jnp.inf, jnp.array(True), jnp.int32(3000)))
+        loading = Loading(protocol, None, jnp.asarray(jnp.inf), jnp.array(True), jnp.int32(3000), jnp.int32(sites - 1))
+        return of_contacts((12, 0, 0, sites), body, loading)
 
     found = jax.jit(as_waveguide)(slider, protocol)
     assert int(found.number) == int(expected.number) == 12
@@ -762,6 +764,22 @@ def test_a_series_of_the_slider_as_a_waveguide(protocol):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-9, atol=1e-11, err_msg=name)
     np.testing.assert_allclose(found.state.pinning, expected.state.pinning, atol=1e-11)
     assert max(found.drift, found.energy_drift) < 1e-12
+
+
+@pytest.mark.ci
+def test_series_of_similar_blocks_share_a_program():
+    """However long the blocks, up to the next power of two; each with as many pinning points as it has contacts."""
+    block = sp.Block(12.0, 0.03, 0.3, sp.Push(0.25, 0.1), length=40, friction=0.3)
+    sp.series(block, events=4)
+    programs = series._hard_series._cache_size()
+    longer = sp.series(eqx.tree_at(lambda x: x.length, block, np.int32(57)), events=4)
+    endless = sp.series(eqx.tree_at(lambda x: x.length, block, None), events=4, sites=57)
+    assert series._hard_series._cache_size() == programs + 1  # the one without end
+    assert longer.state.pinning.shape == endless.state.pinning.shape == (57,)
+    mapped = jax.vmap(lambda push: sp.series(eqx.tree_at(lambda x: x.push.height, block, push), events=4))(
+        np.array([0.25, 0.3])
+    )
+    assert mapped.state.pinning.shape == (2, 40)
 
 
 @pytest.mark.ci

@@ -403,7 +403,7 @@ def test_a_series_with_ageing_is_that_of_a_dense_program(machine, prestress, see
     interface = sp.Profile(threshold=threshold, prestress=own)
     found = sp.series(block, events=60, interface=interface, ageing=sp.Ageing(0.6, 1.0), recorded_breaks=4000)
     response = block.contacts(None, sites).response
-    near, push = np.asarray(response.near[0]), np.asarray(response.push)
+    near, push = np.asarray(response.matrix), np.asarray(response.push)
     strength = strength_of((None, 0.6, 1.0))
 
     def state(load, pinning):

@@ -10,7 +10,7 @@ from oracles.dense_chain import end_stiffness, stiffness_matrix, uniform_springs
 from scipy.optimize import fsolve, root
 
 import slippulse_jax as sp
-from slippulse_jax.bodies.chain import Chain, Springs, State, chain, driven, eliminate, endless, potential_energy, respond
+from slippulse_jax.bodies.chain import Chain, Springs, State, chain, eliminate, endless, potential_energy, respond
 from slippulse_jax.bodies.equilibrium import equilibrium, forces, imbalance
 from slippulse_jax.bodies.modes import Ends, lattice_modes
 from slippulse_jax.status import Outcome
@@ -82,17 +82,25 @@ def test_forces_are_slopes_of_the_energy(right):
 
 @pytest.mark.ci
 @pytest.mark.parametrize("right", ENDS)
-def test_driver_before_the_first_site(right):
-    """The chain behind it is that whose edge is held where the spring leaves it; the spring carries the push."""
+def test_chain_pulled_through_a_spring(right):
+    """Its contacts are those of the chain whose edge is held where the spring leaves it; the spring carries the push."""
     rng = np.random.default_rng(8)
     _, mine, state = random_case(rng, 12, right)
-    found = equilibrium(driven(mine, 0.7), State(jnp.append(0.0, state.pinning), state.load))
-    alone = equilibrium(mine, State(state.pinning, found.upper[1]))
-    assert found.status == alone.status == Outcome.SOLVED
-    for name in ("upper", "layer", "stress"):
-        np.testing.assert_allclose(getattr(found, name)[1:], getattr(alone, name), rtol=1e-10, atol=1e-11)
-    spring = 0.7 * float(state.load - found.upper[1])
-    np.testing.assert_allclose([found.push, alone.push], spring, rtol=1e-9)
+    stiffness = 0.7
+    held, moved = (float(equilibrium(mine, State(state.pinning, u)).push) for u in (0.0, 1.0))
+    edge = (stiffness * float(state.load) - held) / (stiffness + moved - held)
+    alone = equilibrium(mine, State(state.pinning, edge))
+    assert alone.status == Outcome.SOLVED
+    assert float(alone.push) == pytest.approx(stiffness * (float(state.load) - edge), rel=1e-9)
+    pulled = jax.jit(lambda mine: mine.contacts().through(stiffness))(mine)
+    attached = np.asarray(mine.contact) > 0
+    released = jnp.where(attached, state.pinning / jnp.where(attached, pulled.response.soft, 1), 0)
+    stress = pulled.prestress + state.load * pulled.response.push[0] + released @ pulled.response.matrix[:, 0] - released
+    np.testing.assert_allclose(stress, alone.stress, rtol=1e-10, atol=1e-11)
+    force = pulled.response.edge_stiffness * state.load - mine.stiffness * pulled.response.push[0] @ (
+        pulled.response.soft * released
+    )
+    np.testing.assert_allclose(force, alone.push, rtol=1e-9)
 
 
 @pytest.mark.ci

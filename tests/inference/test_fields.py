@@ -5,7 +5,6 @@ import json
 import re
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from oracles import dense_chain
@@ -14,8 +13,7 @@ from scipy.stats import multivariate_normal, norm
 import slippulse_jax as sp
 from benchmarks import recover_coverage
 from slippulse_jax.bodies.modes import lattice_modes
-from slippulse_jax.bodies.response import of_slider
-from slippulse_jax.events.first import Relaxed, first_event
+from slippulse_jax.events.first import first_event
 from slippulse_jax.front.front import front_stress
 from slippulse_jax.inference import heterogeneous
 from slippulse_jax.inference.heterogeneous import followed, profile_problem
@@ -243,8 +241,8 @@ def test_events_start_where_the_dense_program_starts_them(theta, phi, apart):
     np.testing.assert_allclose(of_events, length, atol=1e-9)
     assert start_of_events.tolist() == start.tolist()
     for height, leftmost in zip(HEIGHTS, left, strict=True):
-        modes = lattice_modes(sp.Slider(height, STIFFNESS, POISSON))
-        event = first_event(Relaxed(of_slider(modes, len(theta)), jnp.asarray(theta), jnp.asarray(phi)), kind="full")[0]
+        contacts = sp.Slider(height, STIFFNESS, POISSON).contacts(sp.Profile(theta, phi), len(theta))
+        event = first_event(contacts, kind="full")[0]
         assert int(event.leftmost) == leftmost
         assert int(event.times.max()) == 1
     of_fronts, start_of_fronts = followed(*of, *profiles, next_break="neighbour")

@@ -29,13 +29,13 @@ class TwoRows(eqx.Module):
         one, side = jnp.eye(sites), jnp.eye(sites, k=1)
         along = 2 * one - side - side.T - jnp.diag(one[0] + one[-1])
         of_upper, of_layer = self.upper * along + self.across * one, along + (self.across + self.stiffness) * one
-        matrix = jnp.block([[of_upper, -self.across * one], [-self.across * one, of_layer]])
-        given = jnp.linalg.inv(matrix[1:, 1:])
-        pushed, layer = -given @ matrix[1:, 0], slice(sites - 1, None)
-        near, edge = self.stiffness * given[layer, layer][:, None], matrix[0, 0] + matrix[0, 1:] @ pushed
+        springs = jnp.block([[of_upper, -self.across * one], [-self.across * one, of_layer]])
+        given = jnp.linalg.inv(springs[1:, 1:])
+        pushed, layer = -given @ springs[1:, 0], slice(sites - 1, None)
+        matrix, edge = self.stiffness * given[layer, layer][:, None], springs[0, 0] + springs[0, 1:] @ pushed
         site = jnp.arange(sites) * 1.0
         carried = jnp.zeros(sites) if interface is None else interface.prestress_at(site)
-        return Relaxed(of_matrix(near, pushed[None, layer], edge), jnp.ones(sites), carried, self.stiffness, alike=True)
+        return Relaxed(of_matrix(matrix, pushed[None, layer], edge), jnp.ones(sites), carried, self.stiffness, alike=True)
 
 
 def two_rows(slider):
@@ -63,6 +63,78 @@ def test_a_body_of_ones_own_is_taken_by_the_doors(prestress):
     for name in ("load", "force_before", "force_after", "length", "site", "extent", "breaks"):
         np.testing.assert_allclose(getattr(found, name), getattr(chain, name), rtol=1e-7, err_msg=name)
     assert max(found.drift, found.energy_drift) < 1e-12
+
+
+class Own(eqx.Module):
+    """A body whose contacts are those of another; a chain has its own."""
+
+    of: sp.Slider | sp.Block
+
+    def contacts(self, interface, sites):
+        if isinstance(self.of, sp.Block):
+            return self.of.contacts(interface, sites)
+        return sp.chain(self.of, sites=sites, interface=interface).contacts()
+
+
+class Sliding(Own):
+    """The same by way of the slider itself."""
+
+    def contacts(self, interface, sites):
+        return self.of.contacts(interface, sites)
+
+
+SLIDER, BLOCK = sp.Slider(25.0, 0.03, 0.3), sp.Block(12.0, 0.03, 0.3, sp.Push(0.25, 0.1), friction=0.3)
+
+
+BODIES = {"chain": Own(SLIDER), "slider": Sliding(SLIDER), "block": Own(BLOCK)}
+IN_CI = {("slider", 33), ("chain", 60), ("block", 200)}
+
+
+@pytest.mark.parametrize(
+    ("body", "sites"),
+    [
+        pytest.param(body, sites, id=f"{name}-{sites}", marks=pytest.mark.ci if (name, sites) in IN_CI else pytest.mark.slow)
+        for name, body in BODIES.items()
+        for sites in (33, 60, 200)
+    ],
+)
+def test_a_body_made_of_the_contacts_of_another(body, sites):
+    """However many contacts: lengths, all derivatives and a series are those of the other."""
+    names = "height", "stiffness", "poisson"
+
+    def with_numbers(numbers, given):
+        return eqx.tree_at(lambda x: [getattr(x, name) for name in names], given, list(numbers))
+
+    def own(numbers):
+        return sp.precursor_length(eqx.tree_at(lambda x: x.of, body, with_numbers(numbers, body.of)), sites=sites)
+
+    def other(numbers):
+        of = with_numbers(numbers, body.of)
+        return sp.precursor_length(of, sites=sites) if isinstance(of, sp.Block) else sp.precursor_length(of)
+
+    at = jnp.stack([jnp.asarray(getattr(body.of, name)) for name in names])
+    np.testing.assert_allclose(jax.jit(own)(at), other(at), rtol=1e-11)
+    np.testing.assert_allclose(jax.grad(own)(at), jax.grad(other)(at), rtol=1e-8)
+    found = sp.series(body, events=3, sites=sites)
+    of = body.of if isinstance(body.of, sp.Block) else sp.chain(body.of, sites=sites)
+    expected = sp.series(of, events=3, **({"sites": sites} if isinstance(of, sp.Block) else {}))
+    for name in ("load", "force_after", "length", "site", "breaks", "stored"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-11, err_msg=name)
+
+
+def test_what_breaks_do_to_a_long_chain_is_refused_with_its_memory():
+    long = sp.chain(SLIDER, sites=5000)
+    assert sp.equilibrium(long, long.relaxed(1.0)).status == Outcome.SOLVED
+    of_own = Own(SLIDER)
+    for door in (
+        lambda: sp.rupture(long),
+        lambda: sp.series(long, events=1),
+        lambda: sp.series(of_own, sites=5000, events=1),
+        lambda: sp.precursor_length(of_own, sites=5000),
+        lambda: jax.vmap(lambda u: sp.rupture(long, long.relaxed(u)))(jnp.ones(2)),
+    ):
+        with pytest.raises(ValueError, match=r"a chain of 5000 sites: .* 0\.[12] GB; the most is 4096"):
+            door()
 
 
 def test_what_has_no_contacts_is_no_body():

@@ -145,19 +145,14 @@ def _series(aged: bool, wide: bool, scattered: bool, top: Top) -> Kernel:
 
         def one(contacts: Array) -> tuple[Array, ...]:
             body = contacts_of(block(contacts), Interface(contacts[2], 0.0), SITES, bare)
-            there = jnp.arange(SITES) < sites
-            threshold = body.threshold
             if scattered:
-                drawn = jax.random.normal(jax.random.key(contacts[7].astype(jnp.int32)), (SITES,), threshold.dtype)
-                threshold = threshold * jnp.maximum(1 + contacts[6] * drawn, WEAKEST)
-            body = body._replace(
-                threshold=jnp.where(there, threshold, jnp.inf),
-                prestress=jnp.where(there, body.prestress, 0),
-                alike=body.alike and not scattered,
-            )
+                drawn = jax.random.normal(jax.random.key(contacts[7].astype(jnp.int32)), (SITES,), body.threshold.dtype)
+                threshold = body.threshold * jnp.maximum(1 + contacts[6] * drawn, WEAKEST)
+                body = body._replace(threshold=threshold, alike=False)
+            body = body.up_to(body.last)
             ageing = Ageing(contacts[4], jnp.exp(contacts[5])) if aged else None
             most = jnp.int32(BREAKS_PER_SITE * SITES)
-            loading = Loading(Adiabatic(), ageing, jnp.asarray(jnp.inf), jnp.asarray(True), most)
+            loading = Loading(Adiabatic(), ageing, jnp.asarray(jnp.inf), jnp.asarray(True), most, jnp.asarray(body.last))
             end = load_through((EVENTS, 0, 0, SITES), body, loading)
             event = jnp.arange(EVENTS)
             length, force = (end.rows[name][:-1] for name in ("length", "force_before"))
