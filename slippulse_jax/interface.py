@@ -1,7 +1,7 @@
-"""The interface of a uniform slider: prestress, thresholds and repinning.
+"""The interface of a slider: prestress and thresholds of its contacts.
 
-The paper's own interface is relaxed, uniform and repins at once. Its Discussion asks how each of the three changes the first
-precursor; the fast recursion treats all three exactly.
+The paper's own interface is relaxed and uniform. Its Discussion asks how each of the two changes the first precursor; the fast
+recursion treats both exactly. A delay before contacts repin is an argument of `rupture` and `series`.
 """
 
 from typing import Any
@@ -13,7 +13,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
-from slippulse_jax.domains import PRESTRESS, THRESHOLD, THRESHOLD_SLOPE, check_domain, check_whole
+from slippulse_jax.domains import PRESTRESS, THRESHOLD, THRESHOLD_SLOPE, check_domain
 from slippulse_jax.shown import in_a_line
 from slippulse_jax.units import Numbers, as_float, quantity_field
 
@@ -30,19 +30,8 @@ def check_bulk(interface: "Interface | None") -> None:
         )
 
 
-def check_no_delay(interface: "AnyInterface", why: str) -> None:
-    """Refuse an interface that repins after a delay, with the reason or what to do instead."""
-    if interface is not None and interface.repin_delay:
-        raise ValueError(f"interface.repin_delay = {interface.repin_delay}: {why}")
-
-
-def _python_int(x: Any) -> Any:
-    """NumPy's whole numbers as Python's, of which Equinox does not warn in a static field."""
-    return int(x) if isinstance(x, np.integer) else x
-
-
 class Interface(eqx.Module):
-    """Contacts with uniform prestress, linearly varying thresholds and delayed repinning.
+    """Contacts with uniform prestress and linearly varying thresholds.
 
     Parameters
     ----------
@@ -52,9 +41,6 @@ class Interface(eqx.Module):
     threshold_slope : array_like
         ε > −1, the rise of the threshold from site to site: θ_i = 1 + ε i, in σ_s. With ε < 0 the interface ends where the
         threshold has fallen to the prestress, or to zero: a front that gets there runs away (inf).
-    repin_delay : int
-        n, the number of sites for which a broken contact stays detached: contact i repins, at zero stretch, when contact
-        i + n breaks. 0 is the paper's immediate repinning.
 
     Raises
     ------
@@ -72,18 +58,15 @@ class Interface(eqx.Module):
     threshold_slope: Float[AnyArrayLike, "..."] = quantity_field(
         "\\epsilon", "\\sigma_s", name="threshold gradient", default=0.0
     )
-    repin_delay: int = eqx.field(default=0, static=True, converter=_python_int)
 
-    def __init__(self, prestress: Numbers = 0.0, threshold_slope: Numbers = 0.0, repin_delay: int = 0) -> None:
+    def __init__(self, prestress: Numbers = 0.0, threshold_slope: Numbers = 0.0) -> None:
         self.prestress = as_float("Interface.prestress", prestress)
         self.threshold_slope = as_float("Interface.threshold_slope", threshold_slope)
-        self.repin_delay = repin_delay
 
     def __repr__(self) -> str:
         return in_a_line(self)
 
     def __check_init__(self) -> None:
-        check_whole("Interface.repin_delay", self.repin_delay, 0)
         PRESTRESS.check("Interface.prestress", self.prestress)
         THRESHOLD_SLOPE.check("Interface.threshold_slope", self.threshold_slope)
 
@@ -123,8 +106,6 @@ class Profile(eqx.Module):
         θ_i > 0, in σ_s; the last value holds for all sites beyond.
     prestress : array_like, shape () or (n,)
         φ_i, in σ_s; likewise. In (−θ_i, θ_i): beyond, a contact would break before the slider is pushed.
-    repin_delay : int
-        As for `Interface`.
 
     Raises
     ------
@@ -141,14 +122,11 @@ class Profile(eqx.Module):
 
     threshold: Float[AnyArrayLike, " n"] = quantity_field("\\theta_i", "\\sigma_s")
     prestress: Float[AnyArrayLike, "..."] = quantity_field("\\varphi_i", "\\sigma_s", default=0.0)
-    repin_delay: int = eqx.field(default=0, static=True, converter=_python_int)
 
-    def __init__(self, threshold: Numbers, prestress: Numbers = 0.0, repin_delay: int = 0) -> None:
+    def __init__(self, threshold: Numbers, prestress: Numbers = 0.0) -> None:
         self.threshold, self.prestress = as_float("Profile.threshold", threshold), as_float("Profile.prestress", prestress)
-        self.repin_delay = repin_delay
 
     def __check_init__(self) -> None:
-        check_whole("Profile.repin_delay", self.repin_delay, 0)
         if np.ndim(self.threshold) != 1 or np.size(self.threshold) == 0:
             raise ValueError(f"Profile.threshold has shape {np.shape(self.threshold)}: must be (n,), with at least one value")
         if np.shape(self.prestress) not in ((), np.shape(self.threshold)):

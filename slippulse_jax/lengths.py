@@ -21,7 +21,7 @@ from slippulse_jax.events.first import length_of
 from slippulse_jax.exact import bulk as exact_lanes
 from slippulse_jax.exact.crossing import expected_length
 from slippulse_jax.front import lanes
-from slippulse_jax.front.arrest import arrest, check_at_once, check_max_contacts, report_without_length
+from slippulse_jax.front.arrest import arrest, check_max_contacts, report_without_length
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, Arrest, EventKind, LengthDerivatives, check_event
 from slippulse_jax.interface import Interface, check_bulk
 from slippulse_jax.rules import HARD, BreakRule, HardBreak, check_rule
@@ -89,7 +89,7 @@ def precursor_lengths(
     event : {"domino", "full"}
         Length of the first front, in which each contact breaks once; or of the whole event, in which contacts may break again.
         The two differ where the edge contact is back at its threshold before the front stops (`REBREAK`,
-        `rebreaking_onset`). For contacts that repin at once.
+        `rebreaking_onset`).
     derivatives : {0, 1}
         Highest order of derivatives.
 
@@ -130,17 +130,16 @@ def lengths(
     check_max_contacts(max_contacts)
     if derivatives not in (0, 1):
         raise ValueError(f"derivatives = {derivatives!r}: must be 0 or 1, the highest order of derivatives wanted")
-    check_at_once(interface, rule)
     smooth = not isinstance(rule, HardBreak)
     columns, shape, kind = _columns(slider, interface, rule, ends)
     general, own = general_kernel(kind, max_contacts, derivatives), columns
-    if smooth or (derivatives and not _is_simple(interface, ends)) or (interface is not None and interface.repin_delay):
+    if smooth or (derivatives and not _is_simple(ends)):
         (found,) = over_lanes(general, columns, ANY, length_rank)
     elif derivatives:
         (found,) = _by_loop(lanes.gradient_kernel(max_contacts), WITH_MORE, columns, general, columns)
     else:
         kernel, layout = lanes.length_kernel(max_contacts), LENGTHS
-        if not _is_simple(interface, ends):
+        if not _is_simple(ends):
             # a missing end is too far, a missing machine too stiff, to matter
             sites, machine = (NO_END if x is None else np.where(np.isinf(x), NO_END, x) for x in (ends.sites, ends.machine))
             own = _columns(slider, interface or Interface(), HARD, Ends(ends.right, sites, machine))[0]
@@ -175,8 +174,8 @@ def whole_lengths(
     slider: Slider, interface: Interface | None, rule: BreakRule, ends: Ends, max_contacts: int, derivatives: int = 0
 ) -> Any:
     """Lengths of fronts, and of whole events where contacts break again."""
-    if not isinstance(rule, HardBreak) or (interface is not None and interface.repin_delay):
-        raise ValueError("event = 'full': needs the hard rule, and contacts that repin at once")
+    if not isinstance(rule, HardBreak):
+        raise ValueError("event = 'full': needs the hard rule")
     sites = None if ends.sites is None else float(np.ravel(ends.sites)[0])
     if ends.machine is not None or sites is not None and not (np.all(ends.sites == sites) and sites.is_integer()):
         raise ValueError("event = 'full': takes no machine, and one whole number of sites")
@@ -202,7 +201,7 @@ def arrests(
     check_max_contacts(max_contacts)
     columns, shape, kind = _columns(slider, interface, HARD, ends)
     general = general_arrest_kernel(kind, max_contacts)
-    if _is_simple(interface, ends):
+    if _is_simple(ends):
         found = _by_loop(lanes.arrest_kernel(max_contacts), WITH_MORE, columns, general, columns)
     else:
         found = over_lanes(general, columns, ANY, length_rank)
@@ -308,9 +307,9 @@ def general_kernel(kind: Any, max_contacts: int, derivatives: int) -> Kernel:
     return lambda lanes: (mapped(lanes),)
 
 
-def _is_simple(interface: Interface | None, ends: Ends) -> bool:
-    """Whether `slippulse_jax.front.lanes` has a loop for these arguments."""
-    return ends.sites is None and ends.machine is None and (interface is None or interface.repin_delay == 0)
+def _is_simple(ends: Ends) -> bool:
+    """Whether a slider has neither an end nor a machine."""
+    return ends.sites is None and ends.machine is None
 
 
 def _columns(

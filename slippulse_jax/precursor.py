@@ -30,16 +30,15 @@ from slippulse_jax.bodies.modes import (
 from slippulse_jax.bulk.double import in_double
 from slippulse_jax.domains import check_kind, check_single, check_whole
 from slippulse_jax.events import first
-from slippulse_jax.front import delayed, front
+from slippulse_jax.front import front
 from slippulse_jax.front.arrest import (
     arrest,
-    check_at_once,
     check_max_contacts,
     quantity,
     report_without_length,
 )
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, EventKind, check_event
-from slippulse_jax.interface import AnyInterface, Interface, Profile, check_no_delay
+from slippulse_jax.interface import AnyInterface, Interface, Profile
 from slippulse_jax.lengths import whole_lengths
 from slippulse_jax.rules import HARD, BreakRule, HardBreak, check_rule
 from slippulse_jax.shown import html, in_a_line, short
@@ -70,10 +69,7 @@ class FirstPrecursor(eqx.Module):
         """Fields when contacts 0 … front_position − 1 have broken: 0 is nucleation, `contacts_broken` is arrest."""
         site = jnp.arange(self.front_stress.shape[0])
         prestress = front.contact_at(self.modes, self.interface, site)[1]
-        if self.interface is not None and self.interface.repin_delay:
-            pinning = delayed.pinning(self.modes, self.interface, site.size, jnp.asarray(front_position))
-        else:
-            pinning = jnp.where(site < front_position, self.front_stress, 0)
+        pinning = jnp.where(site < front_position, self.front_stress, 0)
         return equilibrium_fields(self.modes, self.load, pinning, prestress)
 
     @property
@@ -128,7 +124,7 @@ def precursor_length(
     """Length ℓ of the first precursor, in λc.
 
     ℓ is where the stress on the contact ahead falls to its threshold, on a polynomial through the last six contacts reached;
-    through two, a straight line, where contacts differ (`Profile`), repin late or break again. The whole-contact count of the
+    through two, a straight line, where contacts differ (`Profile`) or break again. The whole-contact count of the
     paper is s0 = ceil(ℓ) (for s0 > 1), and Λ = s0 λc. Where the neighbour of the edge contact does not break there is no
     domino: s0 = 1, ℓ = 0, and ℓ is flat; where it starts to break, ℓ jumps from 0 to 1. On tall and stiff bodies a contact
     behind the front may be back at its threshold before the front stops: ℓ is the length of that front (status `REBREAK`).
@@ -141,12 +137,12 @@ def precursor_length(
         resolved, at least those of a block with a `length`, which under ``jit`` and ``vmap`` must be given, and derivatives are
         those at a fixed order of breaks.
     interface : Interface or Profile, optional
-        Prestress, thresholds and repinning; the paper's own (relaxed, uniform, immediate) by default. An `Interface`
+        Prestress and thresholds; the paper's own (relaxed, uniform) by default. An `Interface`
         broadcasts with the slider; a `Profile` belongs to one slider.
     rule : BreakRule
         What a contact does at its threshold: breaks as a whole (the paper's rule), or gradually, over a width. The smooth
-        length tends to that on a straight line as it gets narrower, and has a derivative in the width too; for contacts that
-        repin at once, and blocks on which the event begins at the edge.
+        length tends to that on a straight line as it gets narrower, and has a derivative in the width too; of blocks, where
+        the event begins at the edge.
     right : {"semi-infinite", "free", "clamped"}
         Right end of the chain; the paper's theory is semi-infinite.
     sites : array_like, optional
@@ -202,7 +198,7 @@ def precursor_length(
     check_kind("interface", interface, Interface, Profile, NoneType)
     check_event(event)
     if not isinstance(slider, Slider):
-        _check_of_block(interface, right=right, machine=machine, max_contacts=max_contacts)
+        _check_of_block(right=right, machine=machine, max_contacts=max_contacts)
         check_rule(rule, one=True)
         if event == "full" and not isinstance(rule, HardBreak):
             raise ValueError("event = 'full': under a smooth rule a front passes each contact once, so there is no other event")
@@ -215,7 +211,6 @@ def precursor_length(
     ends = ends_of(right, sites, machine)
     check_max_contacts(max_contacts)
     check_rule(rule, one=isinstance(interface, Profile))
-    check_at_once(interface, rule)
     warn_single_precision(slider)
     if isinstance(interface, Profile):
         check_single("a Profile", slider=slider)
@@ -302,7 +297,7 @@ def first_precursor(
     if recorded_sites is not None:
         check_whole("recorded_sites", recorded_sites, 1)
     if isinstance(slider, Block):
-        _check_of_block(interface, right=right, machine=machine, max_contacts=max_contacts, recorded_sites=recorded_sites)
+        _check_of_block(right=right, machine=machine, max_contacts=max_contacts, recorded_sites=recorded_sites)
         return size.first_precursor(slider, interface, sites, event)
     if event == "full":
         raise ValueError("event = 'full': the record of a whole event of a slider is sp.rupture(sp.chain(slider, sites=…))")
@@ -348,18 +343,16 @@ _counted = jax.jit(arrest, static_argnums=3)
 @partial(jax.jit, static_argnames="sites")
 def _recorded(modes: Modes, interface: AnyInterface, sites: int) -> tuple[Array, Array]:
     """Load at nucleation, and front stress."""
-    repinning = front if interface is None or not interface.repin_delay else delayed
     threshold, prestress = front.contact_at(modes, interface, 0)
-    return modes.load * (threshold - prestress), repinning.front_stress(modes, sites, interface)
+    return modes.load * (threshold - prestress), front.front_stress(modes, sites, interface)
 
 
-def _check_of_block(interface: AnyInterface, **given: Any) -> None:
+def _check_of_block(**given: Any) -> None:
     """Refuse what a block does not have."""
     usual = {"right": "semi-infinite", "max_contacts": DEFAULT_MAX_CONTACTS}
     for name, value in given.items():
         if value is not None and value != usual.get(name):
             raise ValueError(f"{name} = {value!r}: not an option of a block, which has its own: Block(…, length=…, machine=…)")
-    check_no_delay(interface, "contacts of a block repin at once")
 
 
 @functools.lru_cache

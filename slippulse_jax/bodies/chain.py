@@ -21,7 +21,7 @@ from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.bodies.modes import RightEnd
 from slippulse_jax.domains import check_choice, check_domain, check_kind, check_single, check_whole
-from slippulse_jax.interface import AnyInterface, Interface, Profile, check_no_delay
+from slippulse_jax.interface import AnyInterface, Interface, Profile
 from slippulse_jax.slider import Slider
 from slippulse_jax.units import as_float, at_least_single, quantity_field
 
@@ -139,8 +139,7 @@ def chain(
     Raises
     ------
     ValueError
-        If a value lies outside its domain or a shape does not fit (the message names both; traced values are not checked),
-        or if the interface has a repinning delay, which is an argument of `rupture` and `series`.
+        If a value lies outside its domain or a shape does not fit (the message names both; traced values are not checked).
     """
     check_choice("right", right, RightEnd)
     check_kind("slider", slider, Slider)
@@ -194,7 +193,6 @@ def _of_interface(interface: AnyInterface, sites: int) -> tuple[AnyArrayLike, An
     """Thresholds and prestress of the first sites of an interface."""
     if interface is None:
         return 1.0, 0.0
-    check_no_delay(interface, "chain takes only prestress and thresholds: pass the delay to rupture or series")
     numbers = jnp.arange(sites)
     return interface.threshold_at(numbers), interface.prestress_at(numbers)
 

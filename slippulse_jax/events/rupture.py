@@ -98,8 +98,8 @@ def rupture(
         Limit on the number of breaks, and length of their record; 50 N by default.
     repin_delay : int
         Number n of breaks for which a broken contact stays detached: it repins, at zero stretch, when the nth contact after
-        it breaks, or when the rupture ends. For a front that breaks one contact after another this is the delay in sites of
-        `Interface`. With a delay a break costs O(N).
+        it breaks, or when the rupture ends. For a front that breaks one contact after another this is a delay in sites, as
+        of a pulse n sites wide.
 
     Returns
     -------

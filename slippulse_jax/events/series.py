@@ -35,7 +35,7 @@ from slippulse_jax.events.ageing import Ageing, next_crossing
 from slippulse_jax.events.catalogue import COLUMNS, Catalogue, EventClass
 from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, event, most, overload, rises
 from slippulse_jax.events.first import Relaxed, contacts_of_chain
-from slippulse_jax.interface import AnyInterface, Interface, Profile, check_no_delay
+from slippulse_jax.interface import AnyInterface, Interface, Profile
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
 from slippulse_jax.units import as_float
@@ -127,8 +127,7 @@ def series(
         immediately.
     repin_delay : int
         Number n of breaks for which a broken contact stays detached: it repins, at zero stretch, when the nth contact after
-        it breaks, or when the event ends. For a front that breaks one contact after another this is the delay in sites of
-        `Interface`.
+        it breaks, or when the event ends. For a front that breaks one contact after another this is a delay in sites.
     until : array_like, shape (), optional
         Load at which the series ends: the first event at or beyond it is the last.
     stop_when_spanning : bool
@@ -160,7 +159,7 @@ def series(
             raise ValueError(f"{given}: that is for a block; a chain has its own contacts")
         sites = body.sites
     elif isinstance(body, Block):
-        sites = _sites_of_block(body, interface, sites, protocol)
+        sites = _sites_of_block(body, sites, protocol)
     else:
         check_whole("sites", sites, 2)
         assert sites is not None
@@ -185,13 +184,12 @@ def series(
     return found._replace(state=State(found.state.pinning[..., :sites], found.state.load))
 
 
-def _sites_of_block(block: Block, interface: AnyInterface, sites: int | None, protocol: Protocol) -> int:
+def _sites_of_block(block: Block, sites: int | None, protocol: Protocol) -> int:
     """Number of contacts resolved of a block."""
     if block.push.control != "displacement":
         raise ValueError("push.control = 'force': the pusher of a series is displaced; pull it through a soft Spring instead")
     if block.machine is not None and isinstance(protocol, Spring):
         raise ValueError("a machine and protocol = Spring(…): they are one spring, give one of them")
-    check_no_delay(interface, "give the delay to series, as repin_delay")
     if sites is None and block.sites is None:
         raise ValueError(f"{block} has no end: give sites, the number of contacts resolved")
     found = checked_sites(block, block.sites if sites is None else sites)

@@ -32,7 +32,7 @@ from slippulse_jax.domains import check_domain, check_kind
 from slippulse_jax.exact import crack
 from slippulse_jax.exact.crossing import excess, first_crossing, length_of, series_of
 from slippulse_jax.front.front import in_domain
-from slippulse_jax.interface import Interface, check_no_delay
+from slippulse_jax.interface import Interface
 from slippulse_jax.rules import CrackLike
 from slippulse_jax.slider import Fields, Slider, broadcast, of_one_type
 from slippulse_jax.status import Outcome
@@ -59,7 +59,7 @@ def exact_length(slider: Slider, interface: Interface | None = None, *, rule: Cr
     interface : Interface, optional
         Uniform prestress φ and threshold slope ε, which broadcast with `slider`; relaxed and level by default. With ε < 0 the
         thresholds vanish at i = 1/|ε|: the length is then that of the front that starts at contact 0, for chains that end
-        before. The closed form has no repinning delay and no `Profile`.
+        before. The closed form has no `Profile`.
     rule : CrackLike, optional
         Length of the quasi-static crack-like front instead, behind which contacts slide at constant friction, on thresholds
         that are level; its friction broadcasts too (`slippulse_jax.exact.crack`).
@@ -74,7 +74,7 @@ def exact_length(slider: Slider, interface: Interface | None = None, *, rule: Cr
     Raises
     ------
     TypeError, ValueError
-        If `interface` is a `Profile`, or has a repinning delay: use `precursor_length` or `first_precursor`. If a crack-like
+        If `interface` is a `Profile`: use `precursor_length` or `first_precursor`. If a crack-like
         front is to meet thresholds with a slope, or its friction lies outside [0, 1).
 
     Notes
@@ -186,7 +186,7 @@ def _fields(*arguments: Array) -> tuple[Array, Array, Array]:
 def uniform(interface: Interface | None) -> tuple[AnyArrayLike, AnyArrayLike]:
     """Return prestress and threshold slope of an interface, for which the closed form must hold.
 
-    A TypeError or ValueError, if it is a profile or repins with a delay, names the function to use instead.
+    A TypeError, if it is a profile, names the function to use instead.
     """
     if interface is None:
         return 0.0, 0.0
@@ -195,8 +195,6 @@ def uniform(interface: Interface | None) -> tuple[AnyArrayLike, AnyArrayLike]:
             f"interface = {type(interface).__name__}(…): the closed form holds for an Interface, whose prestress is uniform; "
             "use precursor_length or first_precursor"
         )
-    instead = "use precursor_length, precursor_lengths or first_precursor"
-    check_no_delay(interface, f"the closed form holds for contacts that repin at once; {instead}")
     return interface.prestress, interface.threshold_slope
 
 

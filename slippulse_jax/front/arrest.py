@@ -14,10 +14,10 @@ from jaxtyping import Array
 from slippulse_jax.bodies.modes import ENDLESS, Ends, lattice_modes
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.domains import check_whole
-from slippulse_jax.front import delayed, front
+from slippulse_jax.front import front
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, Arrest
-from slippulse_jax.interface import AnyInterface, Profile, check_no_delay
-from slippulse_jax.rules import HARD, BreakRule, HardBreak
+from slippulse_jax.interface import AnyInterface, Profile
+from slippulse_jax.rules import HARD, BreakRule
 from slippulse_jax.slider import Slider, of_one_type
 from slippulse_jax.status import NotConverged, Outcome
 
@@ -34,8 +34,8 @@ def arrest(
     rule: BreakRule = HARD,
 ) -> Arrest:
     """Length, count, status and edge stress of the first precursor of one slider; differentiable forward."""
-    modes, late = lattice_modes(slider, ends), None if interface is None or not interface.repin_delay else interface
-    over = front.passage(modes, interface, rule) if late is None else delayed.passage(modes, late)
+    modes = lattice_modes(slider, ends)
+    over = front.passage(modes, interface, rule)
     # where a front counts as one that never stops, or is given up; and how many contacts there are
     end, contacts = front.never_stops_after(modes, interface, rule), ends.contacts
     limit = jnp.minimum(jnp.minimum(end, 2.0e9).astype(jnp.int32), max_contacts)
@@ -47,19 +47,18 @@ def arrest(
         last = (at.position == contacts - 1) & (at.position < limit)
         through = last & (part > 0.5)
         at = jax.tree.map(lambda new, old: jnp.where(through, new, old), over[2](at, part, stress), at)
-    edge = at.edge[0] if late is None else delayed.edge(modes, late, at)
     numbers = [x.in_domain() for x in (interface, rule) if x is not None]
     if ends.machine is not None:
         numbers.append(jnp.asarray(ends.machine) > 0)
     status = front.outcome(
         at.position,
         (part > front.FADED) & ~last,
-        edge - front.contact_at(modes, interface, 0)[0],
+        at.edge[0] - front.contact_at(modes, interface, 0)[0],
         valid=functools.reduce(operator.and_, numbers, front.in_domain(slider) & jnp.isfinite(stress - threshold)),
         through=through,
         endless=at.position.astype(end.dtype) >= end,
     )
-    return Arrest(at.position, front.length_or_reason(status, length), status, edge)
+    return Arrest(at.position, front.length_or_reason(status, length), status, at.edge[0])
 
 
 @partial(jax.jit, static_argnames=("name", "max_contacts"))
@@ -82,13 +81,6 @@ def quantity(
     else:
         numbers = lax.stop_gradient(numbers)
     return one(*numbers) if isinstance(interface, Profile) else jnp.vectorize(one)(*numbers)
-
-
-def check_at_once(interface: AnyInterface, rule: BreakRule) -> None:
-    """Refuse a repinning delay under a smooth rule, of which a part of a contact would be detached while the rest holds."""
-    if not isinstance(rule, HardBreak):
-        why = "a contact that repins after a delay is detached as a whole, but under a smooth rule only a part of it breaks"
-        check_no_delay(interface, f"{why}; use HardBreak()")
 
 
 def check_max_contacts(max_contacts: int) -> None:

@@ -168,11 +168,11 @@ def taken_back(
 
 
 def degree_of(contacts: AnyInterface) -> int:
-    """Degree of the curve on which ℓ ends: a straight line where neighbours differ, or repin after a delay.
+    """Degree of the curve on which ℓ ends: a straight line where neighbours differ.
 
     Elsewhere the overload is an analytic function of the position, and the curve all but coincides with it.
     """
-    return 1 if isinstance(contacts, Profile) or contacts is not None and contacts.repin_delay else REACHED - 1
+    return 1 if isinstance(contacts, Profile) else REACHED - 1
 
 
 def end_of_front(position: Any, over: Sequence[Any], degree: Any = REACHED - 1) -> Any:
@@ -471,7 +471,7 @@ def never_stops_after(modes: Modes, contacts: AnyInterface, rule: BreakRule = HA
     else:
         uniform, since = jnp.ones((), bool), np.shape(contacts.threshold)[0]
         threshold, prestress = contact_at(modes, contacts, since - 1)
-    settled = since + APPROACH / slowest_approach(modes) + 10 + contacts.repin_delay
+    settled = since + APPROACH / slowest_approach(modes) + 10
     part = rule.broken(prestress / runaway_prestress(modes), threshold)
     endless = uniform & (part > rounding(part)) if modes.echo is None else jnp.zeros((), bool)
     return jnp.ceil(jnp.minimum(jnp.where(endless, settled, jnp.inf), contacts.last_site()))

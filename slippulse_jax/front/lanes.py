@@ -84,7 +84,7 @@ WithRates = tuple[LaneState, tuple[LaneState, ...]]
 def length_kernel(max_contacts: int, right: RightEnd = "semi-infinite") -> Kernel:
     """ℓ of lanes (height, stiffness, poisson[, prestress, threshold_slope[, sites, machine]]), in λc.
 
-    Of uniform interfaces without repinning delay. inf where a front never stops or runs through, NaN after `max_contacts`
+    Of uniform interfaces. inf where a front never stops or runs through, NaN after `max_contacts`
     breaks.
     """
     return lambda parameters: (_length(_until_all_arrest(parameters, max_contacts, right=right)[0], max_contacts),)

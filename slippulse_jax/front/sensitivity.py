@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.domains import check_kind, check_single, check_whole
 from slippulse_jax.front.front import contact_at, sweep, swept_length
-from slippulse_jax.interface import AnyInterface, Interface, Profile, check_no_delay
+from slippulse_jax.interface import AnyInterface, Interface, Profile
 from slippulse_jax.rules import BreakRule, HardBreak, check_rule
 from slippulse_jax.slider import Slider
 
@@ -42,7 +42,7 @@ def sensitivity(
     slider : Slider
         One slider (fields of shape ()).
     interface : Interface or Profile, optional
-        Thresholds and prestress; relaxed and uniform by default. Contacts repin at once. The first is loaded to θ_0.
+        Thresholds and prestress; relaxed and uniform by default. The first is loaded to θ_0.
     sites : int
         Number of contacts; more than the length, and for a smooth rule as many as the front takes to fade.
     rule : BreakRule
@@ -57,14 +57,12 @@ def sensitivity(
     Raises
     ------
     ValueError
-        If the interface repins after a delay, or slider or interface is a batch.
+        If slider or interface is a batch.
     """
     check_kind("slider", slider, Slider)
     check_kind("interface", interface, Interface, Profile, NoneType)
     check_whole("sites", sites, 1)
     check_rule(rule, one=True)
-    instead = "for a delay, differentiate precursor_length of a Profile"
-    check_no_delay(interface, f"sensitivity needs contacts that repin at once; {instead}")
     check_single("sensitivity", slider=slider, interface=interface)
     return _worked_out(slider, interface, sites, rule)
 

@@ -306,7 +306,8 @@ def threshold_slope() -> Finding:
 def repinning_delay() -> Finding:
     """A repinning delay τ_d widens the pulse to v τ_d and lengthens Λ to Λ + v τ_d."""
     sites = np.arange(7)
-    lengths = np.array([float(precursor_length(FIG2, interface=Interface(repin_delay=int(n)))) for n in sites])
+    contacts = chain(FIG2, sites=100)
+    lengths = np.array([float(rupture(contacts, repin_delay=int(n)).length) for n in sites])
     gain = (lengths - lengths[0])[1:]
     rate = gain / sites[1:]
     text = (

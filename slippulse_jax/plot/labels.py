@@ -14,7 +14,6 @@ NAMES = {
     "poisson": ("Poisson's ratio", r"\nu"),
     "prestress": ("prestress", r"\varphi"),
     "threshold_slope": ("threshold gradient", r"\epsilon"),
-    "repin_delay": ("repinning delay", "n"),
     "strength": ("strength", r"\sigma_s"),
     "friction": ("friction behind the front", r"\sigma_k"),
     "friction_coefficient": ("friction coefficient", r"\mu"),

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.contour import ContourSet
     from matplotlib.figure import Figure
 
-UNIT_OF = {"height": "λc", "prestress": "σ_s", "threshold_slope": "σ_s per site", "repin_delay": "sites", "width": "σ_s"}
+UNIT_OF = {"height": "λc", "prestress": "σ_s", "threshold_slope": "σ_s per site", "width": "σ_s"}
 """Units of the parameters of a sweep that are not dimensionless."""
 
 OUTPUTS = {

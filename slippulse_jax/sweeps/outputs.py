@@ -29,22 +29,14 @@ Compute = Callable[[Request, Columns], Any]
 # --- functions -----------------------------------------------------------------------------------------------------------
 
 
-def _by_delay(function: Callable[..., Any]) -> Compute:
-    """Evaluate a function for each repinning delay, by a program of its own."""
+def _in_bulk(function: Callable[..., Any]) -> Compute:
+    """Evaluate a function of sliders and interface."""
 
     def evaluated(request: Request, columns: Columns) -> Columns:
         options: dict[str, Any] = {"ends": Ends(request.right, request.sites), "max_contacts": request.max_contacts}
-        if not INTERFACE.keys() & columns.keys():
-            return function(Slider(*_fields(columns, *SLIDER)), **options)
-        delays = columns.get("repin_delay", np.zeros(len(columns["height"]), np.int64))
-        found: Columns = {}
-        for delay in np.unique(delays):
-            here = {name: values[delays == delay] for name, values in columns.items()}
-            interface = Interface(*_fields(here, "prestress", "threshold_slope"), repin_delay=int(delay))
-            slider = Slider(*_fields(here, *SLIDER))
-            for name, values in function(slider, interface=interface, **options).items():
-                found.setdefault(name, np.empty(delays.size, values.dtype))[delays == delay] = values
-        return found
+        if INTERFACE.keys() & columns.keys():
+            options["interface"] = Interface(*_fields(columns, *INTERFACE))
+        return function(Slider(*_fields(columns, *SLIDER)), **options)
 
     return evaluated
 
@@ -55,23 +47,23 @@ def _fields(columns: Columns, *names: str) -> list[np.ndarray]:
     return [columns.get(name, zeros) for name in names]
 
 
-@_by_delay
+@_in_bulk
 def _length(slider: Slider, **options: Any) -> Columns:
     return {"length": bulk.lengths(slider, **options)}
 
 
-@_by_delay
+@_in_bulk
 def _front(slider: Slider, **options: Any) -> Columns:
     found = bulk.arrests(slider, **options)._asdict()
     del found["length"]  # always from `_length`, whatever the other outputs: two ways may round differently
     return found | {"is_one_domino": found["status"] == Outcome.ARRESTED}
 
 
-@_by_delay
+@_in_bulk
 def _gradients(slider: Slider, **options: Any) -> Columns:
     found = bulk.lengths(slider, derivatives=1, **options)
     slopes = vars(found.slider) | ({} if found.interface is None else vars(found.interface))
-    return {f"dlength_d{name}": slope for name, slope in slopes.items() if name != "repin_delay"}
+    return {f"dlength_d{name}": slope for name, slope in slopes.items()}
 
 
 def _exact(_: Request, columns: Columns) -> Columns:
@@ -153,7 +145,6 @@ class Output(NamedTuple):
 
 _INTERFACE = frozenset(INTERFACE)
 _FRONT = _INTERFACE | {"right"}
-_EXACT = _INTERFACE - {"repin_delay"}
 _CONDITIONS = "the approximation's own conditions hold: "
 
 
@@ -175,10 +166,10 @@ OUTPUTS = {
     "dlength_dthreshold_slope": Output(
         "derivative of length with respect to the threshold gradient", "lambda_c sites/sigma_s", _gradients, _FRONT
     ),
-    "exact_length": Output("length by the exact solution, the real crossing t(l*) = threshold", "lambda_c", _exact, _EXACT),
-    "exact_status": Output("what the exact front stress says", "1", _exact, _EXACT, "int8", ARREST_OUTCOMES),
+    "exact_length": Output("length by the exact solution, the real crossing t(l*) = threshold", "lambda_c", _exact, _INTERFACE),
+    "exact_status": Output("what the exact front stress says", "1", _exact, _INTERFACE, "int8", ARREST_OUTCOMES),
     "block_precursor_length": Output(
-        "length of the whole event of a block under two-dimensional elasticity", "lambda_c", _block, _EXACT | PUSH.keys()
+        "length of the whole event of a block under two-dimensional elasticity", "lambda_c", _block, _INTERFACE | PUSH.keys()
     ),
     "smooth_length": Output("length under the smooth break rule", "lambda_c", _smooth, frozenset({"width"})),
     "length_eq25": Output("length by the paper's Eq. (25)", "lambda_c", _of_slider(theory.length_eq25)),

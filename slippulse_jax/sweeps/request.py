@@ -21,7 +21,6 @@ from slippulse_jax.domains import (
     PRESTRESS,
     STIFFNESS,
     THRESHOLD_SLOPE,
-    check_domain,
     real_numbers,
 )
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS
@@ -37,7 +36,7 @@ Region = tuple[slice, ...]
 """Part of the result: a slice along each dimension."""
 
 SLIDER = {name: quantities(Slider)[name] for name in ("height", "stiffness", "poisson")}
-INTERFACE = {**quantities(Interface), "repin_delay": Quantity("n", "sites", name="delay before a contact repins")}
+INTERFACE = quantities(Interface)
 PUSH = {
     "push_height": Quantity("h/H", "1", name="height of the push over that of the block, h/H"),
     "push_width": Quantity("w/H", "1", name="height of the pusher over that of the block, w/H"),
@@ -59,7 +58,7 @@ DOMAINS = {
     "friction": ("", FRICTION),
     "normal_stiffness": ("", NORMAL_STIFFNESS),
 }
-"""Owner and domain of each parameter; `repin_delay` must be whole."""
+"""Owner and domain of each parameter."""
 
 
 class Request(NamedTuple):
@@ -145,8 +144,6 @@ def _with_interface(given: dict[str, Any], interface: Interface | None) -> dict[
     numbers = {name: getattr(interface, name) for name in INTERFACE}
     if twice := [name for name, number in numbers.items() if number != 0 and given[name] is not None]:
         raise ValueError(f"{twice[0]} is given twice: in the interface and as an axis")
-    if interface.repin_delay == 0:
-        del numbers["repin_delay"]  # which the closed form does not include
     return given | {name: number for name, number in numbers.items() if given[name] is None}
 
 
@@ -188,10 +185,6 @@ def _values(name: str, given: Any) -> np.ndarray:
     values = np.array(real_numbers(name, given))  # a copy: the caller's array may change while the sweep runs
     if values.ndim > 1 or values.size == 0:
         raise ValueError(f"{name} has shape {values.shape}: must be a number or a one-dimensional array with values")
-    if name == "repin_delay":
-        requirement = "must be whole numbers of sites, 0 or more"
-        check_domain(name, values, lambda delay: (delay >= 0) & (delay == np.round(delay)), requirement)
-        return values.astype(np.int64)
     owner, domain = DOMAINS[name]
     domain.check(owner + name, values)
     return values

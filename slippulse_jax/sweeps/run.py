@@ -54,7 +54,6 @@ def sweep(
     poisson: ArrayLike,
     prestress: ArrayLike | None = None,
     threshold_slope: ArrayLike | None = None,
-    repin_delay: ArrayLike | None = None,
     width: ArrayLike | None = None,
     push_height: ArrayLike | None = None,
     push_width: ArrayLike | None = None,
@@ -83,7 +82,7 @@ def sweep(
     ----------
     height, stiffness, poisson : array_like
         H/λc, k/K and ν: each a number, or a one-dimensional array, which becomes an axis.
-    prestress, threshold_slope, repin_delay : array_like, optional
+    prestress, threshold_slope : array_like, optional
         Parameters of the interface to sweep, likewise; as for `Interface`.
     width : array_like, optional
         Width of the smooth break rule, in σ_s, for the output ``smooth_length``.

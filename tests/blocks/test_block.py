@@ -714,7 +714,6 @@ def test_fields_in_the_block_are_those_the_contacts_read():
             r"rule = SmoothBreak.*begins at",
             marks=pytest.mark.ci,
         ),
-        (lambda: sp.precursor_length(sp.Block(5.0, 0.1, 0.3), sp.Interface(repin_delay=2)), r"repin_delay = 2.*of a block"),
         (lambda: jax.jit(sp.precursor_length)(sp.Block(5.0, 0.1, 0.3)), r"under jit and vmap a block needs sites"),
         (lambda: sp.Block(5.0, 0.1, 0.3, sp.Push(0)), r"Push.height = 0: must lie in \(0, 1\)"),
         (
@@ -878,7 +877,6 @@ def test_a_series_on_an_interface_and_of_a_batch():
         (sp.Block(5.0, 0.1, 0.3, length=9000), {}, "sites = 9000: .* from 2 to 8192"),
         (sp.Block(5.0, 0.1, 0.3), {"sites": 1e4}, "sites = 10000.0: of a block a whole number"),
         (sp.Block(5.0, 0.1, 0.3, sp.Push(0.4, 0.2, "force")), {"sites": 30}, "push.control = 'force'"),
-        (sp.Block(5.0, 0.1, 0.3), {"sites": 30, "interface": sp.Interface(repin_delay=2)}, "give the delay to series"),
         (sp.chain(sp.Slider(5.0, 0.1, 0.3), sites=10), {"sites": 10}, "sites = 10: that is for a block"),
     ],
 )

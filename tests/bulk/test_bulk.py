@@ -129,8 +129,6 @@ def test_smooth_rule_in_bulk():
         sp.precursor_length(slider, rule=sp.SmoothBreak(width)),
         rtol=1e-12,
     )
-    with pytest.raises(ValueError, match=r"interface\.repin_delay = 2: .* use HardBreak"):
-        sp.precursor_lengths(slider, rule=sp.SmoothBreak(width), interface=sp.Interface(0.1, repin_delay=2))
 
 
 @pytest.mark.ci

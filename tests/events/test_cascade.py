@@ -190,9 +190,9 @@ def test_length_ends_on_the_curve_where_all_contacts_are_alike(alike, right, giv
     curve, line = (dense.reach(order, alike=x) for x in (True, False))
     assert abs(curve - line) > 1e-5
     assert abs(found.length - (curve if alike else line)) < 1e-9
-    if not given.keys() & {"contact", "upper"} and "pinning" not in more:
-        interface = sp.Interface(fields["prestress"][0], fields["threshold"][1] - 1, delay)
-        if not alike and not delay:
+    if not given.keys() & {"contact", "upper"} and not more:
+        interface = sp.Interface(fields["prestress"][0], fields["threshold"][1] - 1)
+        if not alike:
             interface = sp.Profile(fields["threshold"], fields["prestress"])
         ends = {} if right == "semi-infinite" else {"right": right, "sites": 40}
         assert abs(found.length - sp.precursor_length(sp.Slider(10.0, 0.03, 0.3), interface, **ends)) < 1e-11
@@ -440,8 +440,6 @@ def test_a_chain_takes_an_interface():
     np.testing.assert_allclose(sloped.prestress, 0.1)
     given = chain(FIG2, sites=4, interface=sp.Profile(threshold=[1.0, 2.0], prestress=0.3))
     np.testing.assert_array_equal(given.threshold, [1.0, 2.0, 2.0, 2.0])
-    with pytest.raises(ValueError, match="repin_delay = .*: chain takes only prestress"):
-        chain(FIG2, sites=5, interface=sp.Interface(repin_delay=2))
     with pytest.raises(ValueError, match=r"chain takes one interface, got a batch of shape \(2,\)"):
         chain(FIG2, sites=5, interface=sp.Interface(prestress=[0.1, 0.2]))
 

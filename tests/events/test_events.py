@@ -106,9 +106,7 @@ def test_derivatives_at_a_fixed_order_of_breaks():
     found = sp.precursor_lengths(slider, interface, event="full", derivatives=1)
     np.testing.assert_array_equal(found.length, sp.precursor_lengths(slider, interface, event="full"))
     step = 1e-6
-    numbers = {
-        name: np.broadcast_to(x, 4) for name, x in (*vars(slider).items(), *vars(interface).items()) if name != "repin_delay"
-    }
+    numbers = {name: np.broadcast_to(x, 4) for name, x in (*vars(slider).items(), *vars(interface).items())}
     for name, value in numbers.items():
         size = step * np.maximum(np.abs(value), 1e-3)
 
@@ -133,5 +131,3 @@ def test_what_an_event_does_not_take():
         sp.precursor_lengths(slider, event="whole")
     with pytest.raises(ValueError, match=r"event = 'full': needs the hard rule"):
         sp.precursor_lengths(slider, rule=sp.SmoothBreak(0.01), event="full")
-    with pytest.raises(ValueError, match=r"contacts that repin at once"):
-        sp.precursor_lengths(slider, sp.Interface(repin_delay=1), event="full")

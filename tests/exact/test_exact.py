@@ -595,8 +595,6 @@ def test_refused_and_undefined_values():
     for function in (exact_length, exact_front, sp.exact_lengths):
         with pytest.raises(TypeError, match=r"Profile\(…\).*use precursor_length"):
             function(FIG2, sp.Profile(np.ones(3)))
-        with pytest.raises(ValueError, match="repin_delay = 2.*use precursor_length"):
-            function(FIG2, sp.Interface(repin_delay=2))
     # traced values
     length, contacts_broken, load, status = fronts(*([h, 0.03, 0.3, p, 0] for h, p in ((-3.0, 0), (np.nan, 0), (25.0, 1.2))))
     assert np.isnan(length).all()

@@ -1,8 +1,6 @@
-"""Prestress, threshold profiles and delayed repinning against a program that takes detached contacts out of the matrix."""
+"""Prestress and threshold profiles against dense solves."""
 
 import functools
-import subprocess
-import sys
 
 import jax
 import numpy as np
@@ -19,29 +17,19 @@ from slippulse_jax.status import Outcome
 FIG2 = Slider(25.0, 0.03, 0.3)
 
 
-ALL = ("semi-infinite", 0), ("semi-infinite", 3), ("free", 0), ("free", 1)
-
-
-@pytest.mark.parametrize(
-    ("right", "delay"),
-    [
-        ("semi-infinite", 1),
-        pytest.param("free", 3, marks=pytest.mark.ci),
-        *(pytest.param(*x, marks=pytest.mark.slow) for x in ALL),
-    ],
-)
-def test_against_dense_chain(right, delay):
-    rng = np.random.default_rng([delay, right == "free"])
+@pytest.mark.parametrize("right", ["semi-infinite", pytest.param("free", marks=pytest.mark.ci)])
+def test_against_dense_chain(right):
+    rng = np.random.default_rng([1, right == "free"])
     sites = 80
     for _ in range(4):
         slider = (rng.uniform(5, 25), 10 ** rng.uniform(-2.5, -0.5), rng.uniform(0, 0.45))
         phi, slope = rng.uniform(-0.9, 0.4), rng.uniform(-0.002, 0.01)
         theta = 1 + slope * np.arange(sites)
-        count, excess, load, stress = dense_chain.front(*slider, theta, np.full(sites, phi), delay, sites, right)
+        count, excess, load, stress = dense_chain.front(*slider, theta, np.full(sites, phi), 0, sites, right)
         if right == "semi-infinite" and count == sites:
             continue
         got = first_precursor(
-            Slider(*slider), interface=Interface(phi, slope, delay), right=right, sites=sites if right == "free" else None,
+            Slider(*slider), interface=Interface(phi, slope), right=right, sites=sites if right == "free" else None,
             recorded_sites=sites,
         )  # fmt: skip
         got = jax.tree.map(np.asarray, got)
@@ -55,17 +43,17 @@ def test_against_dense_chain(right, delay):
         assert abs(got.arrest.stress - stress).max() < 1e-9
         assert abs(got.edge_stress - stress[0]) < 1e-9
         if count > 1:
-            assert abs(got.length - dense_chain.crossing(excess, degree=1 if delay else 5)) < 1e-8
+            assert abs(got.length - dense_chain.crossing(excess)) < 1e-8
 
 
 @pytest.mark.ci
 def test_profile_against_dense_chain():
     rng = np.random.default_rng(5)
-    for delay in (0, 2):
+    for _ in range(2):
         theta, phi = rng.uniform(0.85, 1.15, 100), rng.uniform(-0.3, 0.3, 100)
         theta[0], phi[0] = 0.9, 0.1
-        count, excess, load, stress = dense_chain.front(25, 0.03, 0.3, theta, phi, delay, 100)
-        got = jax.tree.map(np.asarray, first_precursor(FIG2, interface=Profile(theta, phi, delay), recorded_sites=100))
+        count, excess, load, stress = dense_chain.front(25, 0.03, 0.3, theta, phi, 0, 100)
+        got = jax.tree.map(np.asarray, first_precursor(FIG2, interface=Profile(theta, phi), recorded_sites=100))
         assert int(got.contacts_broken) == count
         assert abs(got.load - load) < 1e-10
         assert abs(got.length - dense_chain.crossing(excess, degree=1)) < 1e-9
@@ -107,7 +95,7 @@ def test_stress_is_all_that_a_contact_carries():
 
 
 @pytest.mark.ci
-def test_no_prestress_no_slope_no_delay_is_the_papers_interface():
+def test_no_prestress_no_slope_is_the_papers_interface():
     sliders = Slider([5.0, 25.0, 60.0], [[0.3], [0.003]], 0.3)
     assert abs(precursor_length(sliders, interface=Interface()) - precursor_length(sliders)).max() < 1e-11
 
@@ -220,13 +208,13 @@ def test_profile_that_nothing_stops():
 
 @pytest.mark.ci
 def test_single_precision(float32):
-    """float32 in, float32 out: a relative error below 1e-4 at a prestress far from φ_c, delays included."""
+    """float32 in, float32 out: a relative error below 1e-4 at a prestress far from φ_c."""
     lengths = [
-        precursor_length(FIG2, interface=Interface(np.float32(0.2), repin_delay=2)),
-        precursor_length(FIG2, interface=Profile(np.ones(5, np.float32), 0.2, 2)),
+        precursor_length(FIG2, interface=Interface(np.float32(0.2))),
+        precursor_length(FIG2, interface=Profile(np.ones(5, np.float32), 0.2)),
     ]
     with jax.enable_x64(True):
-        exact = float(precursor_length(FIG2, interface=Interface(0.2, repin_delay=2)))
+        exact = float(precursor_length(FIG2, interface=Interface(0.2)))
     for length in lengths:
         assert length.dtype == np.float32
         assert abs(length - exact) < 1e-4 * exact
@@ -251,7 +239,6 @@ def test_batches_do_not_depend_on_company():
         ({"prestress": 1.0}, "Interface.prestress = 1"),
         ({"prestress": [0.1, -1.0]}, "Interface.prestress = -1 at index 1: must lie in"),
         ({"threshold_slope": -1.0}, "Interface.threshold_slope = -1"),
-        ({"repin_delay": 1.5}, "repin_delay = 1.5"),
         ({"threshold_slope": np.nan}, "threshold_slope = nan"),
     ],
 )
@@ -270,8 +257,6 @@ def test_errors_name_the_field(wrong, message):
         ({"threshold": [1.0, 1.0], "prestress": 1.5}, "Profile.prestress = 1.5 at index 0"),
         ({"threshold": [0.5, 1.0, 0.4], "prestress": [0.4, 0.4, -0.4]}, "Profile.prestress = -0.4 at index 2"),
         ({"threshold": [1.0, 1.0], "prestress": [0.1] * 3}, r"Profile.prestress has shape \(3,\)"),
-        ({"threshold": [1.0], "repin_delay": 1.5}, "Profile.repin_delay = 1.5"),
-        ({"threshold": [1.0], "repin_delay": True}, "Profile.repin_delay = True"),
     ],
 )
 def test_errors_of_a_profile_name_the_field(wrong, message):
@@ -280,26 +265,13 @@ def test_errors_of_a_profile_name_the_field(wrong, message):
 
 
 @pytest.mark.ci
-def test_a_delay_may_be_a_whole_number_of_numpy():
-    """Without the warning of Equinox of arrays in static fields, which is an error here."""
-    given = Interface(repin_delay=np.int64(2))
-    assert given == Interface(repin_delay=2)
-    assert Profile(np.ones(3), repin_delay=np.int32(1)).repin_delay == 1
-    assert precursor_length(FIG2, given) == precursor_length(FIG2, Interface(repin_delay=2))
-
-
-@pytest.mark.ci
-def test_sensitivity_takes_any_interface_that_repins_at_once():
+def test_sensitivity_takes_any_interface():
     rising = sp.sensitivity(FIG2, Interface(0.1, 0.002), sites=60)
     given = sp.sensitivity(FIG2, Profile(1 + 0.002 * np.arange(60), 0.1), sites=60)
     np.testing.assert_allclose(rising.threshold, given.threshold, rtol=1e-12)
     assert abs(rising.length - precursor_length(FIG2, Profile(1 + 0.002 * np.arange(60), 0.1))) < 1e-11
-    for wrong, message in (
-        (Profile(np.ones(30), 0.1, 2), "repin_delay = 2"),
-        (Interface([0.1, 0.2]), r"batch of shape \(2,\)"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            sp.sensitivity(FIG2, wrong, sites=30)
+    with pytest.raises(ValueError, match=r"batch of shape \(2,\)"):
+        sp.sensitivity(FIG2, Interface([0.1, 0.2]), sites=30)
 
 
 def test_lengths_in_bulk_refuse_a_profile_by_name():
@@ -329,19 +301,3 @@ def test_thresholds_that_fall_to_nothing_under_a_negative_prestress():
     """A threshold below zero holds nothing, though the prestress is lower still."""
     record = first_precursor(FIG2, interface=Interface(-0.2, -0.05), recorded_sites=80)
     assert (int(record.status), int(record.contacts_broken)) == (Outcome.RUN_AWAY, 20)
-
-
-@pytest.mark.ci
-def test_long_delays_in_bulk_end():
-    """Once such a program waited for its own threads for ever: in a process of its own, under a time limit."""
-    code = (
-        "import numpy as np, slippulse_jax as sp\n"
-        "from slippulse_jax.bulk import chunks\n"
-        "slider = sp.Slider(np.linspace(20.0, 30.0, 600), 0.03, 0.3)\n"
-        "one = sp.precursor_length(sp.Slider(20.0, 0.03, 0.3), sp.Interface(repin_delay=25))\n"
-        "for count in (1, 2, 4):\n"
-        "    chunks.workers = lambda: count\n"
-        "    found = sp.precursor_lengths(slider, sp.Interface(repin_delay=25))\n"
-        "    assert abs(found[0] - one) < 1e-3, (found[0], one)\n"
-    )
-    subprocess.run([sys.executable, "-c", code], timeout=300, check=True)

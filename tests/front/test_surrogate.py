@@ -341,9 +341,5 @@ def test_derivatives_in_every_contact_of_a_profile():
 
 
 def test_refusals():
-    delayed, rule = sp.Interface(repin_delay=1), SmoothBreak(width=0.02)
-    for lengths in (sp.precursor_length, sp.precursor_lengths):
-        with pytest.raises(ValueError, match="repin_delay = 1: .* under a smooth rule only a part of it breaks"):
-            lengths(FIG2, delayed, rule=rule)
     with pytest.raises(ValueError, match=r"SmoothBreak.width has shape \(2,\)"):
         sp.precursor_length(FIG2, ROUGH, rule=SmoothBreak(width=np.array([0.01, 0.02])))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from oracles import dense_chain
 
-from slippulse_jax import Interface, Profile, Slider, SmoothBreak, first_precursor, precursor_length, precursor_lengths
+from slippulse_jax import Profile, Slider, SmoothBreak, first_precursor, precursor_length, precursor_lengths
 from slippulse_jax import lengths as bulk
 from slippulse_jax.bodies.modes import ENDLESS
 from slippulse_jax.bulk.chunks import over_lanes
@@ -105,8 +105,6 @@ def test_break_rules_behind_one_name():
     assert precursor_length(Slider([10.0, 25.0], 0.01, 0.3), rule=SmoothBreak(0.02)).shape == (2,)
     with pytest.raises(TypeError, match="must be HardBreak"):
         precursor_length(slider, rule=0.01)
-    with pytest.raises(ValueError, match=r"interface\.repin_delay = 2: .* use HardBreak"):
-        precursor_length(slider, Interface(repin_delay=2), rule=SmoothBreak(0.01))
 
 
 def test_empty_batch():

@@ -223,7 +223,7 @@ def test_trees_of_axes():
     "made",
     [
         Slider([10.0, 25.0], 0.03, 0.3),
-        sp.Interface([0.0, 0.1], 0.01, 2),
+        sp.Interface([0.0, 0.1], 0.01),
         sp.Profile([1.0, 1.1], 0.1),
         sp.Block(10.0, 0.03, 0.3, sp.Push(0.4, 0.1), length=20, friction=0.3),
         sp.SmoothBreak(0.02),

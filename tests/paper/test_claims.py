@@ -89,6 +89,10 @@ def by_slope(rate):
     return lengths(lambda _, interface: jnp.asarray(25.0 if interface is None else 25 * (1 + rate * interface.threshold_slope)))
 
 
+def by_delay(rate):
+    return lambda _, repin_delay: SimpleNamespace(length=25.0 + rate * repin_delay)
+
+
 @pytest.mark.parametrize(
     ("name", "stand_in", "number", "verdict"),
     [
@@ -101,9 +105,9 @@ def by_slope(rate):
         ("precursor_length", by_slope(-1), "C9", HOLDS),
         ("precursor_length", by_slope(-62), "C9", WITHIN),
         ("precursor_length", by_slope(25), "C9", FAILS),
-        ("precursor_length", lengths(lambda _, i: 25 + i.repin_delay), "C10", HOLDS),
-        ("precursor_length", lengths(lambda _, i: 25 + 2 * i.repin_delay), "C10", WITHIN),
-        ("precursor_length", lengths(lambda _, i: 25 + 0 * i.repin_delay), "C10", FAILS),
+        ("rupture", by_delay(1), "C10", HOLDS),
+        ("rupture", by_delay(2), "C10", WITHIN),
+        ("rupture", by_delay(0), "C10", FAILS),
         ("series", events([[26, 25, 27], [1, 9]]), "C13", HOLDS),
         ("series", events([[26, 3], [26, 24]]), "C13", WITHIN),
         ("series", events([[26, 3], [26, 24]], apart=2), "C13", FAILS),

@@ -51,22 +51,21 @@ def test_gradients_are_those_of_the_length():
 
 @pytest.mark.slow
 def test_interface_parameters_are_axes_too():
-    phi, delay = np.array([0.0, 0.3, 0.54]), np.array([0, 2])
+    phi, slope = np.array([0.0, 0.3, 0.54]), np.array([0.0, 0.002])
     found = sp.sweep(
         height=25.0,
         stiffness=0.03,
         poisson=0.3,
         prestress=phi,
-        repin_delay=delay,
+        threshold_slope=slope,
         outputs=("length", "nucleation_load", "status"),
     )
-    assert found.length.dims == ("prestress", "repin_delay")
-    for n in delay:
-        exact = sp.precursor_lengths(sp.Slider(25.0, 0.03, 0.3), interface=sp.Interface(phi, repin_delay=int(n)))
-        np.testing.assert_array_equal(found.length.sel(repin_delay=n), exact)
-    assert np.isinf(found.length.sel(prestress=0.54, repin_delay=0))
+    assert found.length.dims == ("prestress", "threshold_slope")
+    exact = sp.precursor_lengths(sp.Slider(25.0, 0.03, 0.3), interface=sp.Interface(phi[:, None], slope))
+    np.testing.assert_array_equal(found.length, exact)
+    assert np.isinf(found.length.sel(prestress=0.54, threshold_slope=0))
     load = float(lattice_modes(sp.Slider(25.0, 0.03, 0.3)).load)
-    np.testing.assert_allclose(found.nucleation_load.sel(repin_delay=0), (1 - phi) * load, rtol=1e-14)
+    np.testing.assert_allclose(found.nucleation_load.sel(threshold_slope=0), (1 - phi) * load, rtol=1e-14)
     both = sp.sweep(height=25.0, stiffness=0.03, poisson=0.3, prestress=[0.0, 0.3], outputs=("gradients",))
     slope = jax.grad(lambda p: sp.precursor_length(sp.Slider(25.0, 0.03, 0.3), interface=sp.Interface(p)))(0.3)
     assert float(both.dlength_dprestress[1]) == pytest.approx(float(slope), rel=1e-10)
@@ -150,7 +149,6 @@ def test_every_output_can_be_chosen_and_every_set_names_outputs():
         ({"stiffness": [[0.1]]}, r"stiffness has shape \(1, 1\): must be a number or a one-dimensional array"),
         ({"stiffness": []}, r"stiffness has shape \(0,\)"),
         ({"prestress": 1.5}, "Interface.prestress = 1.5"),
-        ({"repin_delay": 0.5}, "repin_delay = 0.5: must be whole"),
         ({"outputs": "lenght"}, "output 'lenght': must be one of length,"),
         ({"outputs": ()}, "at least one output"),
         ({"prestress": 0.1, "outputs": "length_eq25"}, "'length_eq25' takes no account of prestress"),
@@ -276,11 +274,10 @@ def test_numbers_of_the_slider():
 @pytest.mark.ci
 def test_an_interface_gives_the_numbers_that_are_not_swept():
     axes = {"height": [10.0, 25.0], "stiffness": 0.03, "poisson": 0.3, "outputs": ["length", "status"]}
-    fixed = sp.sweep(**axes, interface=sp.Interface(prestress=0.1, repin_delay=2))
-    assert fixed.identical(sp.sweep(**axes, prestress=0.1, threshold_slope=0.0, repin_delay=2))
-    swept = sp.sweep(**axes, interface=sp.Interface(repin_delay=2), prestress=[0.0, 0.1])
+    fixed = sp.sweep(**axes, interface=sp.Interface(prestress=0.1, threshold_slope=0.002))
+    assert fixed.identical(sp.sweep(**axes, prestress=0.1, threshold_slope=0.002))
+    swept = sp.sweep(**axes, interface=sp.Interface(threshold_slope=0.002), prestress=[0.0, 0.1])
     np.testing.assert_array_equal(swept.length.sel(prestress=0.1), fixed.length)
-    assert "repin_delay" not in sp.sweep(**axes, interface=sp.Interface(0.1)).coords, "the closed form has no place for it"
 
 
 @pytest.mark.parametrize(
@@ -337,7 +334,6 @@ def test_blocks_do_not_depend_on_their_company(tmp_path):
         ({}, "'block_precursor_length' needs push_height"),
         ({"push_height": 1.2}, "push_height = 1.2: must lie in"),
         ({"push_height": [0.5, 0.1], "push_width": [0.1, 0.3]}, "Push.width = 0.3 about height = 0.1: reaches from -0.05"),
-        ({"push_height": 0.5, "repin_delay": 2}, "takes no account of repin_delay"),
         ({"friction": 0.3}, "friction describes a block: give push_height too"),
         ({"push_height": 0.5, "friction": -0.1}, "friction = -0.1: must be 0 or more"),
         ({"push_height": 0.5, "contact_law": "multicontact"}, "contact_law = 'multicontact': .* give friction too"),

@@ -82,13 +82,13 @@ def test_opened_without_this_package(reference, chunks):
 @pytest.mark.ci
 def test_flags_and_points_and_scalars_are_labelled(tmp_path):
     given = {"height": [10.0, 25.0, 50.0], "stiffness": [0.03, 0.01, 0.3], "poisson": 0.3, "prestress": 0.1, "points": True}
-    given |= {"repin_delay": [0, 1, 0], "outputs": ("status", "length", "contacts_broken")}
+    given |= {"threshold_slope": [0, 0.001, 0], "outputs": ("status", "length", "contacts_broken")}
     kept, stored = sp.sweep(**given), sp.sweep(**given, store=tmp_path / "s", chunk=2)
     assert list(stored.data_vars) == list(given["outputs"])
     assert list(stored.coords) == list(kept.coords)
     np.testing.assert_array_equal(stored.status.attrs["flag_values"], kept.status.attrs["flag_values"])
     found = xr.open_zarr(tmp_path / "s", chunks=None)
-    assert (found.status.dtype, found.contacts_broken.dtype, found.repin_delay.dtype) == ("int8", "int32", "int64")
+    assert (found.status.dtype, found.contacts_broken.dtype) == ("int8", "int32")
     assert set(found.coords) == set(kept.coords)
     assert found.status.attrs["flag_meanings"] == kept.status.attrs["flag_meanings"]
     xr.testing.assert_equal(stored.load(), kept)
@@ -395,10 +395,10 @@ def test_an_edited_request_is_refused(reference, tmp_path, part):
 
 def test_stores_written_before_can_be_resumed():
     """The digest of a request of format 2 stays: the numbers, in this order and these types."""
-    fronts = {"height": np.array([10.0, 25, 50]), "stiffness": 0.03, "poisson": 0.3, "prestress": [0, 0.1], "repin_delay": 2}
+    fronts = {"height": np.array([10.0, 25, 50]), "stiffness": 0.03, "poisson": 0.3, "prestress": [0, 0.1]}
     axes = make_axes(fronts)
     found = Request(axes, ("length", "status"), "semi-infinite", None, 100, "displacement")
-    assert found.digest == "92ca1c3fe9b2ff3da8403d29877a8ee08c00c2748e0198740659fbaaad80c471"
+    assert found.digest == "2216c9f6cab350877e677e802ddefe86fe599c2eeacb62f0d3a4d8aa487b9e02"
     block = {"height": 60.0, "stiffness": 4e-3, "poisson": 0.3, "push_height": np.array([0.25, 0.5])}
     axes = make_axes(block, push_control="force")
     found = Request(axes, ("block_precursor_length",), "semi-infinite", None, 100, "force")
