@@ -29,9 +29,7 @@ def __getattr__(name: str) -> Any:
     module = _MODULE_OF[name]
     if module == __name__:
         return import_module(f"{module}.{name}")
-    from slippulse_jax.keywords import public
-
-    return public(import_module(module), name)
+    return getattr(import_module(module), name)
 
 
 def __dir__() -> list[str]:

@@ -1,6 +1,8 @@
-"""Choices of bodies and events, read without JAX and NumPy."""
+"""Choices of bodies and events, and the one that was meant; read without JAX and NumPy."""
 
-from typing import Literal
+from collections.abc import Iterable
+from difflib import get_close_matches
+from typing import Any, Literal
 
 Control = Literal["displacement", "force"]
 """What is held while an event on a block runs."""
@@ -12,3 +14,9 @@ RightEnd = Literal["semi-infinite", "free", "clamped"]
 """Right end of a chain of contacts."""
 EventKind = Literal["domino", "full"]
 """Event whose length is meant: the first front, in which each contact breaks once; or the whole event."""
+
+
+def did_you_mean(wrong: Any, known: Iterable[str]) -> str:
+    """Ask for the name that was meant; nothing where none is alike."""
+    meant = get_close_matches(str(wrong), map(str, known), n=1)
+    return f"; did you mean {meant[0]}?" if meant else ""

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 
 from slippulse_jax.bulk.process import check_process
+from slippulse_jax.choices import did_you_mean
 from slippulse_jax.files import shortened
-from slippulse_jax.keywords import did_you_mean
 
 
 class Domain(NamedTuple):

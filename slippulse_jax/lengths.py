@@ -341,4 +341,4 @@ def _warn_of_missing(found: np.ndarray, slider: Slider, max_contacts: int) -> No
         status = np.zeros(found.shape, np.int32)
         at_once = arrests(Slider(*numbers), max_contacts=1).status
         status[missing] = np.where(at_once == Outcome.INVALID, Outcome.INVALID, Outcome.LIMIT)
-        report_without_length(status, max_contacts, raises=False, stacklevel=5)
+        report_without_length(status, max_contacts, raises=False, stacklevel=4)

@@ -232,7 +232,8 @@ def _whole(slider: Slider, interface: AnyInterface, rule: BreakRule, ends: Ends,
         )
     found = np.asarray(whole_lengths(slider, interface, rule, ends, max_contacts))
     if np.isnan(found).any():
-        report_without_length(np.where(np.isnan(found), Outcome.LIMIT, Outcome.ARRESTED), max_contacts, raises=found.ndim == 0)
+        status = np.where(np.isnan(found), Outcome.LIMIT, Outcome.ARRESTED)
+        report_without_length(status, max_contacts, raises=found.ndim == 0, stacklevel=4)
     return jnp.asarray(found)
 
 
@@ -357,7 +358,7 @@ def _check_of_block(**given: Any) -> None:
 
 @functools.lru_cache
 def _warn_once(message: str) -> None:
-    warnings.warn(f"single precision {message}. Use jax.enable_x64(True)", RuntimeWarning, stacklevel=5)
+    warnings.warn(f"single precision {message}. Use jax.enable_x64(True)", RuntimeWarning, stacklevel=4)
 
 
 def warn_single_precision(slider: Slider) -> None:

@@ -107,7 +107,7 @@ def precursor_length(
             status = Outcome.LIFT_OFF if tall else in_double(_record)(block, interface, sites, kind).status
             if status != Outcome.LIFT_OFF:
                 raise _without_length(block, interface, status)
-            warnings.warn(f"{block}: {Outcome.LIFT_OFF.message}", RuntimeWarning, stacklevel=4)
+            warnings.warn(f"{block}: {Outcome.LIFT_OFF.message}", RuntimeWarning, stacklevel=3)
         return found
     _known(given, IN_DOUBLE)
     numbers, others = eqx.partition(given, lambda x: isinstance(x, Tracer) and jnp.issubdtype(x.dtype, jnp.floating))
@@ -170,7 +170,7 @@ def _warn_of_few_sites(block: Block, sites: Numbers | None, length: Array) -> No
         warnings.warn(
             f"sites = {sites}: the event reached the last contact resolved, so its length is not known (inf); give more",
             RuntimeWarning,
-            stacklevel=5,
+            stacklevel=4,
         )
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import slippulse_jax
+from slippulse_jax.choices import did_you_mean
 from slippulse_jax.cli.shared import (
     NOT_CONVERGED,
     Grouped,
@@ -19,7 +20,6 @@ from slippulse_jax.cli.shared import (
     save_figure,
 )
 from slippulse_jax.inference.choices import Body, IntervalsBy, Loss, MeasuredEvent, Method, Sigma, Template
-from slippulse_jax.keywords import did_you_mean
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.fit import FitResult

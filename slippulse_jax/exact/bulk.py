@@ -113,7 +113,7 @@ def exact_lengths(
         first = tuple(int(i) for i in np.unravel_index(np.argmax(lost), shape))
         why = Outcome(int(status[lost][0])).message
         message = f"{lost.sum()} of {lost.size} exact lengths, the first at index {first}, are NaN: {why}"
-        warnings.warn(message, RuntimeWarning, stacklevel=3)
+        warnings.warn(message, RuntimeWarning, stacklevel=2)
     length = length.reshape(shape)
     if not derivatives:
         return length

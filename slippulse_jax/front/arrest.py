@@ -90,7 +90,7 @@ def check_max_contacts(max_contacts: int) -> None:
         raise ValueError(f"max_contacts = {max_contacts!r}: must be below 2**31 - 1")
 
 
-def report_without_length(status: np.ndarray, max_contacts: int, *, raises: bool, stacklevel: int = 4) -> None:
+def report_without_length(status: np.ndarray, max_contacts: int, *, raises: bool, stacklevel: int = 3) -> None:
     """Raise or warn about the fronts that were given up, or whose slider is none (rounded to single precision, say)."""
     for kind in (Outcome.LIMIT, Outcome.INVALID):
         lanes = status == kind

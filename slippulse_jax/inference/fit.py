@@ -152,7 +152,7 @@ def fit(
     wanted = wanted_parameters(measurements, free, bounds, fixed)
     suspected = suspicions(measurements, wanted)
     for mistake in suspected:
-        warnings.warn(mistake, MeasurementWarning, stacklevel=3)
+        warnings.warn(mistake, MeasurementWarning, stacklevel=2)
     choices = {"loss": (loss, Loss), "method": (method, Method), "sigma": (sigma, Sigma), "intervals": (intervals, IntervalsBy)}
     for name, (value, known) in choices.items():
         check_choice(name, value, known)

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slippulse_jax.bulk.compiler import check_jit
+from slippulse_jax.choices import did_you_mean
 from slippulse_jax.domains import check_choice
 from slippulse_jax.inference.choices import Body, Loss, MeasuredEvent
 from slippulse_jax.inference.model.check import checked
@@ -24,7 +25,6 @@ from slippulse_jax.inference.search.clouds import gathered, refuse_model_error
 from slippulse_jax.inference.search.likelihood import How, Problem, density, make_problem
 from slippulse_jax.inference.search.minima import lowest_look
 from slippulse_jax.inference.table.measurements import Measurements, measurements_of
-from slippulse_jax.keywords import did_you_mean
 from slippulse_jax.units import as_float
 
 if TYPE_CHECKING:

@@ -14,10 +14,10 @@ from slippulse_jax import theory
 from slippulse_jax.blocks import size
 from slippulse_jax.bodies.modes import Ends, RightEnd, lattice_modes
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
+from slippulse_jax.choices import did_you_mean
 from slippulse_jax.exact.bulk import ARREST_OUTCOMES, exact_arrests
 from slippulse_jax.front.front import FRONT_OUTCOMES
 from slippulse_jax.interface import Interface
-from slippulse_jax.keywords import did_you_mean
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome

@@ -248,7 +248,7 @@ def _run(
     with tqdm(total=size, unit=" points", unit_scale=True, disable=hidden, desc="sweep") as bar:
         for region, columns, remarks in map(compute, chunks) if client is None else _on_workers(client, compute, chunks):
             for remark in remarks - said:
-                warnings.warn(remark, RuntimeWarning, stacklevel=4)
+                warnings.warn(remark, RuntimeWarning, stacklevel=3)
             said |= remarks
             yield region, columns
             bar.update(math.prod(shape_of(region)))

@@ -572,10 +572,13 @@ def test_lengths_do_not_depend_on_the_contacts_resolved():
 def test_too_few_contacts_resolved_are_said():
     """A block that goes on has a length, which is not known; one that ends has none, and no warning."""
     block = at_b(30.0, 1.0, sp.Push(0.4))
-    with pytest.warns(RuntimeWarning, match="sites = 8: the event reached the last contact resolved"):
+    said = "sites = 8: the event reached the last contact resolved"
+    with pytest.warns(RuntimeWarning, match=said) as told:
         assert float(sp.precursor_length(block, sites=8)) == np.inf
-    with pytest.warns(RuntimeWarning, match="sites = 8: the event reached the last contact resolved"):
+    assert told[0].filename == __file__
+    with pytest.warns(RuntimeWarning, match=said) as told:
         assert int(sp.first_precursor(block, sites=8).status) == Outcome.RAN_THROUGH
+    assert told[0].filename == __file__
     assert float(jax.jit(lambda block: sp.precursor_length(block, sites=8))(block)) == np.inf
     ends = at_b(30.0, 1.0, sp.Push(0.4), length=8)
     assert float(sp.precursor_length(ends, sites=8)) == float(sp.precursor_length(ends)) == np.inf

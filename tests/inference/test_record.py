@@ -197,6 +197,7 @@ def test_likely_mistakes_are_found_once_and_kept(tmp_path, monkeypatch):
     with pytest.warns(MeasurementWarning) as told:
         result = sp.fit(longer, ["stiffness", sp.Parameter("height", prior=(25.0, 1.0))], intervals="profile")
     assert result.suspicions == tuple(str(one.message) for one in told)
+    assert told[0].filename == __file__
     assert len(result.suspicions) == 2
     result.save(path)
     content = json.loads(path.read_text())

@@ -24,7 +24,7 @@ PACKAGE = Path(slippulse_jax.__file__).parent
 
 # imports run from higher numbers to lower ones, or within a layer; equal numbers of different layers never meet
 LAYERS = {
-    "files": -2, "choices": -1, "keywords": -1, "shown": -1, "bulk": -1, "units": 0, "derivatives": 0, "domains": -0.5, "status": 0, "double_series": 0,
+    "files": -2, "choices": -1, "shown": -1, "bulk": -1, "units": 0, "derivatives": 0, "domains": -0.5, "status": 0, "double_series": 0,
     "slider": 1, "rules": 1, "interface": 1, "block": 2, "experiments": 3,
     "bodies": 3, "theory": 3,
     "front": 4, "exact": 5, "events": 5, "blocks": 6,
@@ -277,10 +277,8 @@ def test_a_newcomer_reaches_the_physics_in_few_frames(name):
         if event == "call" and frame.f_code.co_name == target and frame.f_globals["__name__"].startswith("slippulse_jax"):
             above = 0
             while frame is not None:
-                home = frame.f_globals.get("__name__", "")  # the check of the arguments' names is the door, and no step
-                above += (
-                    home.startswith("slippulse_jax") and frame.f_code.co_name[0] != "<" and home != "slippulse_jax.keywords"
-                )
+                home = frame.f_globals.get("__name__", "")
+                above += home.startswith("slippulse_jax") and frame.f_code.co_name[0] != "<"
                 frame = frame.f_back
             depths.append(above)
 

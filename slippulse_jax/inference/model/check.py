@@ -317,4 +317,4 @@ def check_used(m: Measurements, what: str) -> None:
     unused += ["gauges"] * (m.gauges is not None) + ["what lengths of provenance measured share"] * ("measured" in m.provenance)
     if unused:
         text = f"{m.source}: {what} takes the inputs as exact and errors as independent, without {', '.join(unused)}"
-        warnings.warn(text, MeasurementWarning, stacklevel=4)
+        warnings.warn(text, MeasurementWarning, stacklevel=3)

@@ -14,12 +14,12 @@ import jax
 import numpy as np
 
 from slippulse_jax.bulk.chunks import distinct_rows
+from slippulse_jax.choices import did_you_mean
 from slippulse_jax.domains import in_unit, real_numbers
 from slippulse_jax.inference.model.fronts import Front, front_of
 from slippulse_jax.inference.model.inputs import COMMON, Inputs
 from slippulse_jax.inference.table.columns import OVER_ALL
 from slippulse_jax.inference.table.measurements import Measurements
-from slippulse_jax.keywords import did_you_mean
 
 SCALES = ("length", "reach", "first", "displacement", "force", "slip", "stress", "position", "offset", "force_offset", "beyond")
 """ln(unit of measurement per unit of the model) of each observable, `reach` that of forces by place; what is added to a length,
