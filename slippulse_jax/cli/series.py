@@ -11,12 +11,12 @@ from slippulse_jax.cli.shared import (
     Grouped,
     as_json,
     figure_path,
+    output_path,
     print_json,
     refuse,
     right_end,
     save_figure,
     slider_options,
-    table_path,
 )
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ BREAKS_AN_EVENT = 50
 @click.option(
     "--repin-delay", type=click.IntRange(min=0), default=0, metavar="N", help="Breaks during which a contact stays detached."
 )
-@click.option("--out", callback=table_path, metavar="FILE", help="Write the catalogue to .csv or .nc instead of stdout.")
+@click.option("--out", callback=output_path("csv"), metavar="FILE", help="Write the catalogue to a .csv instead of stdout.")
 @click.option("--figure", callback=figure_path, metavar="FILE", help="Draw the friction curve and the space–time map.")
 @as_json
 def command(
@@ -72,8 +72,9 @@ def command(
 
     from slippulse_jax.bodies.chain import chain
     from slippulse_jax.events.ageing import Ageing
-    from slippulse_jax.events.catalogue import table, to_csv, write_series
+    from slippulse_jax.events.catalogue import with_units
     from slippulse_jax.events.series import Adiabatic, Spring, Steps, series
+    from slippulse_jax.files import write_atomically
     from slippulse_jax.slider import Slider
     from slippulse_jax.status import Outcome
 
@@ -91,14 +92,15 @@ def command(
         except ValueError as error:
             refuse(error)
         status = Outcome(int(found.status))
+        events = with_units(found.to_dataframe()).to_csv(na_rep="nan", lineterminator="\n")
         if out is not None:
-            write_series(out, found)
+            write_atomically(out, events.encode())
         if figure is not None:
             _draw(found, figure)
         if as_json:
-            print_json({"status": status.name.lower(), **table(found)})
+            print_json({"status": status.name.lower(), **found.table()})
         elif out is None:
-            click.echo(to_csv(found), nl=False)
+            click.echo(events, nl=False)
     click.echo(status.message, err=True)
     if status == Outcome.LIMIT:
         click.get_current_context().exit(NOT_CONVERGED)

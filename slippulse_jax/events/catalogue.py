@@ -1,10 +1,6 @@
-"""Catalogue of the events of a series, and its export with units."""
+"""Catalogue of the events of a series."""
 
-import csv
-import io
-from collections.abc import Iterable
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +9,6 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from slippulse_jax.bodies.chain import State
 from slippulse_jax.domains import real_numbers
-from slippulse_jax.files import write_atomically
 from slippulse_jax.shown import html, short
 from slippulse_jax.status import Outcome, Status
 
@@ -62,8 +57,17 @@ class Catalogue(NamedTuple):
     status: Int[Array, ""]  # an Outcome
 
     def table(self) -> dict[str, np.ndarray]:
-        """Return the columns of the catalogue, without its empty rows."""
-        return table(self)
+        """Return the columns of the catalogue as NumPy arrays, without its empty rows.
+
+        Raises
+        ------
+        ValueError
+            If the catalogue is a batch.
+        """
+        if np.ndim(self.number):
+            raise ValueError(f"the catalogue is a batch of shape {np.shape(self.number)}: take one series at a time")
+        rows = int(self.number)
+        return {name: np.asarray(getattr(self, name))[:rows] for name in COLUMNS}
 
     def __repr__(self) -> str:
         if np.ndim(self.number):
@@ -78,15 +82,15 @@ class Catalogue(NamedTuple):
             [str(event), *(x if isinstance(x, str) else f"{x:g}" for x in row)]
             for event, row in zip(frame.index, frame.itertuples(index=False), strict=True)
         ]
-        return html("Catalogue of events", rows, _heads(frame), Outcome(int(self.status)).message)
+        return html("Catalogue of events", rows, ["event", *with_units(frame)], Outcome(int(self.status)).message)
 
     def to_dataframe(self) -> "pd.DataFrame":
-        """Return the events as a pandas.DataFrame, one per row, with the class of each in words and units in ``attrs``."""
+        """Return the events as a pandas.DataFrame, with classes in words and ``attrs["units"]``; pandas writes it."""
         import pandas as pd
 
-        frame = pd.DataFrame(table(self)).rename_axis("event")
+        frame = pd.DataFrame(self.table()).rename_axis("event")
         frame["kind"] = [EventClass(kind).name.lower() for kind in frame["kind"]]
-        frame.attrs["units"] = {name: unit for name, (unit, _) in COLUMNS.items()}
+        frame.attrs["units"] = dict(COLUMNS)
         return frame
 
     def reach(self, load: ArrayLike) -> np.ndarray:
@@ -113,7 +117,7 @@ class Catalogue(NamedTuple):
         ValueError
             If the catalogue is a batch.
         """
-        events, status, asked = table(self), int(self.status), real_numbers("load", load)
+        events, status, asked = self.table(), int(self.status), real_numbers("load", load)
         loads, lengths = events["load"], events["length"]
         if status == Outcome.LIMIT:
             loads, lengths, known = loads[:-1], lengths[:-1], asked < loads[-1]
@@ -154,86 +158,25 @@ class Catalogue(NamedTuple):
 
 
 COLUMNS = {
-    "load": ("u_s", "displacement of the left edge, or of the driver, at the event"),
-    "force_before": ("K u_s", "force on the left edge as the event starts"),
-    "force_after": ("K u_s", "force on the left edge after the event"),
-    "site": ("1", "contact that broke first, from 0 at the left edge"),
-    "leftmost": ("1", "leftmost broken contact"),
-    "extent": ("lambda_c", "distance from the left edge to beyond the rightmost broken contact"),
-    "length": ("lambda_c", "the same between contacts: where the stress ahead falls to the threshold"),
-    "breaks": ("1", "number of breaks"),
-    "slip": ("u_s", "sum over contacts of how far their pinning points moved"),
-    "stress_drop": ("sigma_s", "sum over contacts of stress before minus after"),
-    "work": ("K u_s^2", "work of the drive since the event before"),
-    "stored": ("K u_s^2", "potential energy after the event"),
-    "broken": ("K u_s^2", "energy of the stretch of the contacts that broke"),
-    "relaxed": ("K u_s^2", "energy released as the chain relaxed"),
-    "kind": ("1", "class of the event: " + ", ".join(f"{c.value} {c.name.lower()}" for c in EventClass)),
+    "load": "u_s",
+    "force_before": "K u_s",
+    "force_after": "K u_s",
+    "site": "1",
+    "leftmost": "1",
+    "extent": "lambda_c",
+    "length": "lambda_c",
+    "breaks": "1",
+    "slip": "u_s",
+    "stress_drop": "sigma_s",
+    "work": "K u_s^2",
+    "stored": "K u_s^2",
+    "broken": "K u_s^2",
+    "relaxed": "K u_s^2",
+    "kind": "1",
 }
+"""Columns of a catalogue and their units."""
 
 
-def table(catalogue: Catalogue) -> dict[str, np.ndarray]:
-    """Return a catalogue's columns as NumPy arrays, without its empty rows.
-
-    Raises
-    ------
-    ValueError
-        If the catalogue is a batch.
-    """
-    if np.ndim(catalogue.number):
-        raise ValueError(f"the catalogue is a batch of shape {np.shape(catalogue.number)}: write one series at a time")
-    rows = int(catalogue.number)
-    return {name: np.asarray(getattr(catalogue, name))[:rows] for name in COLUMNS}
-
-
-def _heads(columns: Iterable[str]) -> list[str]:
-    """Names of columns with their units, after that of the event's number."""
-    return ["event", *(name if COLUMNS[name][0] == "1" else f"{name} ({COLUMNS[name][0]})" for name in columns)]
-
-
-def to_csv(catalogue: Catalogue) -> str:
-    """Format a catalogue as CSV: names with their units, then numbers in full precision."""
-    columns = table(catalogue)
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_heads(columns))
-    for event, row in enumerate(zip(*columns.values(), strict=True)):
-        cells = [EventClass(int(x)).name.lower() if name == "kind" else x.item() for name, x in zip(columns, row, strict=True)]
-        writer.writerow([event, *cells])
-    return text.getvalue()
-
-
-def to_dataset(catalogue: Catalogue) -> Any:
-    """Convert a catalogue to an ``xarray.Dataset`` with units and descriptions."""
-    import xarray
-
-    variables = {
-        name: ("event", values, {"units": COLUMNS[name][0], "long_name": COLUMNS[name][1]})
-        for name, values in table(catalogue).items()
-    }
-    status = Outcome(int(catalogue.status))
-    attributes = {
-        "status": status.name.lower(),
-        "message": status.message,
-        "drift": float(catalogue.drift),
-        "energy_drift": float(catalogue.energy_drift),
-    }
-    return xarray.Dataset(variables, attrs=attributes)
-
-
-def write_series(path: str | Path, catalogue: Catalogue) -> None:
-    """Write a catalogue to ``.csv`` or ``.nc``, atomically.
-
-    Raises
-    ------
-    ValueError
-        If the suffix is neither of these, or the catalogue is a batch.
-    """
-    path = Path(path)
-    if path.suffix == ".csv":
-        write_atomically(path, to_csv(catalogue).encode())
-    elif path.suffix == ".nc":
-        content = to_dataset(catalogue).to_netcdf(engine="h5netcdf")
-        write_atomically(path, bytes(content))
-    else:
-        raise ValueError(f"{path}: the suffix of a series must be .csv or .nc")
+def with_units(frame: "pd.DataFrame") -> "pd.DataFrame":
+    """Name the columns of a catalogue's DataFrame with their units."""
+    return frame.rename(columns={name: f"{name} ({unit})" for name, unit in COLUMNS.items() if unit != "1"})

@@ -9,7 +9,7 @@ import numpy as np
 from slippulse_jax.block import Block
 from slippulse_jax.bodies.chain import Chain
 from slippulse_jax.bodies.equilibrium import Equilibrium
-from slippulse_jax.events.catalogue import Catalogue, EventClass, table
+from slippulse_jax.events.catalogue import Catalogue, EventClass
 from slippulse_jax.events.rupture import Rupture
 from slippulse_jax.front.sensitivity import Sensitivity
 from slippulse_jax.interface import Interface, Profile
@@ -166,7 +166,7 @@ def friction_curve(catalogue: Catalogue, *, ax: "Axes | None" = None) -> "Axes":
     """
     ax = axes(ax)
     c = colours(ax)
-    events = table(catalogue)
+    events = catalogue.table()
     load = np.repeat(np.append(0.0, events["load"]), 2)[1:]
     force = np.append(0.0, np.stack([events["force_before"], events["force_after"]], axis=1).ravel())
     ax.plot(load, force, color=c.ink, lw=1, label="force")
@@ -230,7 +230,7 @@ def precursors(
     if (largest := int(np.max(catalogue.extent, initial=0))) > contacts:
         raise ValueError(f"body has {contacts} contacts, and the catalogue an event of {largest}: it is of another body")
     ax = axes(ax)
-    c, events = getattr(colours(ax), colour), table(catalogue)
+    c, events = getattr(colours(ax), colour), catalogue.table()
     force, extent = events["force_before"] / strength, events["extent"]
     farthest = np.maximum.accumulate(np.append(0, extent))
     advance, spans, edge = extent - farthest[:-1], events["kind"] == EventClass.SPANNING, events["site"] == 0
