@@ -32,7 +32,10 @@ class Difference(NamedTuple):
 def errata() -> list[Erratum]:
     """Compute the errata, at the parameters of Fig. 2."""
     with jax.enable_x64(True):
-        right, wrong = theory.appendix(FIG2), theory.frozen_stress(FIG2, 0.0, printed=True)
+        right, k, k2 = theory.appendix(FIG2), FIG2.kappa, FIG2.kappa_2
+        # Ψ_6(0) as printed, where the coefficient of e^{−(κ+κ_2)s} is the constant term again, and A_0 with it (cra51b)
+        psi6 = k * (1 + k) / (2 * (k - k2)) - 2 * k * (k**2 + k2) / (k**2 - k2**2)
+        wrong = right.A0 + FIG2.beta * right.U0 * right.psi2 * (psi6 - right.psi6_0) / (1 + k)
         # α_2 as the bracket is printed, ½[1 − (κ² − √D/κ_T²)], beside the one that solves cra08 and cra09
         printed_alpha = (1 - (FIG2.kappa**2 - FIG2.mode_splitting / FIG2.kappa_T**2)) / 2
         continuum = theory.continuum_stress(FIG2, 0.0)
@@ -126,7 +129,7 @@ paper's LaTeX source. Parameters, unless stated otherwise: Fig. 2, $H/\\lambda_c
 
 The Appendix also writes $\\sigma$ for Poisson's ratio and $a$ for $\\lambda_c$. None of these errors affects Eq. (25).
 `tests/theory/test_theory.py` integrates the frozen equations (cra08–cra27) directly, without any $\\Psi$ or $A$, and finds the
-corrected forms. `printed=True` evaluates the printed forms.
+corrected forms.
 
 ## Differences of substance
 

@@ -10,10 +10,8 @@ levels are physics, not errors. Of a block under two-dimensional elasticity ther
 """
 
 from slippulse_jax.theory.continuum import continuum_fields, continuum_stress, length_continuum
-from slippulse_jax.theory.frozen import appendix, asymptotic_decay_length, frozen_stress, length, length_eq25, length_frozen
+from slippulse_jax.theory.frozen import appendix, frozen_stress, length, length_eq25, length_frozen
 from slippulse_jax.theory.limits import (
-    areal_stiffness_from_b,
-    b_from_areal_stiffness,
     block_decay_length,
     envelope_length,
     length_ceiling,
@@ -27,9 +25,6 @@ from slippulse_jax.theory.limits import (
 
 __all__ = [
     "appendix",
-    "areal_stiffness_from_b",
-    "asymptotic_decay_length",
-    "b_from_areal_stiffness",
     "block_decay_length",
     "continuum_fields",
     "continuum_stress",

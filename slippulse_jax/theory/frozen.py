@@ -1,10 +1,9 @@
 """The Appendix: the continuum with the upper layer frozen in its shape at nucleation, u_t = U0 e^{−κ_2 x} (label cra45).
 
 Lengths in λc, displacements in u_s, stresses in σ_s. Valid for λc ≪ H and k ≪ K (ε = κ_T²/κ² ≪ 1); where the paper's
-printed formulas err, the corrected ones are in use and ``printed=True`` gives the others.
+printed formulas err, the corrected ones are in use.
 """
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -40,16 +39,15 @@ class Appendix(NamedTuple):
     length: Array  # Λ (cra58), λc
 
 
-def psi6(slider: Slider, s: Array, *, printed: bool = False) -> Array:
+def psi6(slider: Slider, s: Array) -> Array:
     """Ψ_6(s), label cra54.
 
     Erratum: the coefficient of e^{−(κ+κ_2)s} in the bracket is wrong. Eliminating A_1 and A_2 from cra48–cra50 gives
-    ½κ(1−λcκ)/(κ+κ_2)·(1/Ψ_2 − 1); `printed` restores −κ(λcκ²+κ_2)/(κ²−κ_2²), the constant term.
+    ½κ(1−λcκ)/(κ+κ_2)·(1/Ψ_2 − 1), where −κ(λcκ²+κ_2)/(κ²−κ_2²), the constant term, is printed.
     """
     k, k2 = slider.kappa, slider.kappa_2
     constant = -k * (k**2 + k2) / (k**2 - k2**2)
-    echo = constant if printed else _echo(slider)
-    return k * (1 + k) / (2 * (k - k2)) * jnp.exp((k - k2) * s) + constant + echo * jnp.exp(-(k + k2) * s)
+    return k * (1 + k) / (2 * (k - k2)) * jnp.exp((k - k2) * s) + constant + _echo(slider) * jnp.exp(-(k + k2) * s)
 
 
 def _echo(slider: Slider) -> Array:
@@ -63,11 +61,10 @@ def _released(slider: Slider) -> Array:
     return slider.b * slider.beta
 
 
-def _psi6_slope(slider: Slider, s: Array, printed: bool) -> Array:
+def _psi6_slope(slider: Slider, s: Array) -> Array:
     """e^{−κs} Ψ_6'(s), label cra54b, erratum as for `psi6`."""
     k, k2 = slider.kappa, slider.kappa_2
-    echo = k * (k**2 + k2) / (k - k2) if printed else -(k + k2) * _echo(slider)
-    return k * (1 + k) / 2 * jnp.exp(-k2 * s) + echo * jnp.exp(-(2 * k + k2) * s)
+    return k * (1 + k) / 2 * jnp.exp(-k2 * s) - (k + k2) * _echo(slider) * jnp.exp(-(2 * k + k2) * s)
 
 
 def leading_length(slider: Slider) -> Array:
@@ -93,14 +90,14 @@ def _a4(slider: Slider, s: Array) -> Array:
     return _load(slider) * slider.kappa * jnp.exp(-slider.kappa_2 * s) / (2 * (slider.kappa + slider.kappa_2))
 
 
-def _a3_start(slider: Slider, printed: bool) -> Array:
+def _a3_start(slider: Slider) -> Array:
     psi3 = _load(slider) + _released(slider)
-    first = _load(slider) * _psi2(slider) * psi6(slider, jnp.zeros_like(psi3), printed=printed)
+    first = _load(slider) * _psi2(slider) * psi6(slider, jnp.zeros_like(psi3))
     return (slider.kappa * psi3 + first) / (1 + slider.kappa)
 
 
 @in_full
-def _a3_parts(slider: Slider, s: Array, printed: bool) -> tuple[Array, Array]:
+def _a3_parts(slider: Slider, s: Array) -> tuple[Array, Array]:
     """p(s) and f(s) of A_3(s) = A_3(0) e^{p(s)} + f(s), cra55 integrated.
 
     With its integrating factor e^{as + gz}, z = e^{−2κs}, expanded in gz,
@@ -111,7 +108,7 @@ def _a3_parts(slider: Slider, s: Array, printed: bool) -> tuple[Array, Array]:
     a, g = k * (1 + slider.beta) / 2, _released(slider) * (1 - k) / (4 * (1 + k))
     source = _load(slider) * _psi2(slider) / (1 + k)
     slope_far = k * (1 + k) / 2
-    slope_near = _psi6_slope(slider, jnp.zeros_like(k), printed) - slope_far
+    slope_near = _psi6_slope(slider, jnp.zeros_like(k)) - slope_far
     # rate κ_2 + 2nκ: the far part of Ψ_6' starts at n = 0, the near part at n = 1
     power = exponential_terms(g)
     n = np.arange(power.size + 1, dtype=power.dtype)
@@ -120,24 +117,24 @@ def _a3_parts(slider: Slider, s: Array, printed: bool) -> tuple[Array, Array]:
     return -a * s - g * jnp.expm1(-2 * k * s), forced
 
 
-def _stress(slider: Slider, s: Array, printed: bool) -> Array:
+def _stress(slider: Slider, s: Array) -> Array:
     """A_3(s) + A_4(s)."""
-    exponent, forced = _a3_parts(slider, s, printed)
-    return _a3_start(slider, printed) * jnp.exp(exponent) + forced + _a4(slider, s)
+    exponent, forced = _a3_parts(slider, s)
+    return _a3_start(slider) * jnp.exp(exponent) + forced + _a4(slider, s)
 
 
-def _excess(slider: Slider, s: Array, printed: bool) -> Array:
+def _excess(slider: Slider, s: Array) -> Array:
     """t(s) − 1, term by term: soft interfaces lift t above 1 by as little as b, which t − 1 would lose to rounding."""
     k = slider.kappa
-    A3, A4 = _a3_start(slider, printed), _a4(slider, jnp.zeros_like(k))
-    # contact 0, repinned at u_s, adds q/κ(1+κ) to the 1 it was broken at: what the corrected A_0 comes to
-    at_edge = A3 + A4 - 1 if printed else jnp.asarray(slider.stiffness) / (k * (1 + k))
-    exponent, forced = _a3_parts(slider, s, printed)
+    A3, A4 = _a3_start(slider), _a4(slider, jnp.zeros_like(k))
+    # contact 0, repinned at u_s, adds q/κ(1+κ) to the 1 it was broken at: A_0 − 1
+    at_edge = jnp.asarray(slider.stiffness) / (k * (1 + k))
+    exponent, forced = _a3_parts(slider, s)
     return at_edge + A3 * jnp.expm1(exponent) + forced + A4 * jnp.expm1(-slider.kappa_2 * s)
 
 
-@partial(jax.jit, static_argnames="printed")
-def frozen_stress(slider: Slider, s: Any, *, printed: bool = False) -> Float[Array, "..."]:
+@jax.jit
+def frozen_stress(slider: Slider, s: Any) -> Float[Array, "..."]:
     """Stress ũ(s+0; s) = A_3(s) + A_4(s) at the front when it is at s > 0, in σ_s; labels cra46b and cra55, integrated.
 
     Parameters
@@ -145,14 +142,12 @@ def frozen_stress(slider: Slider, s: Any, *, printed: bool = False) -> Float[Arr
     slider : Slider
     s : array_like
         Position of the front in λc; broadcasts with `slider`.
-    printed : bool
-        Use Ψ_6 as printed (cra54), which is wrong.
     """
-    return each_slider(lambda x, y: _stress(x, y, printed), slider, s)
+    return each_slider(_stress, slider, s)
 
 
-@partial(jax.jit, static_argnames="printed")
-def length_frozen(slider: Slider, *, printed: bool = False) -> Float[Array, "..."]:
+@jax.jit
+def length_frozen(slider: Slider) -> Float[Array, "..."]:
     """Length of the first precursor with a frozen upper layer, in λc.
 
     It integrates cra55 without further approximation.
@@ -162,7 +157,7 @@ def length_frozen(slider: Slider, *, printed: bool = False) -> Float[Array, "...
 
     def one(slider: Slider) -> Array:
         about = leading_length(slider)
-        return root_between(partial(_excess, printed=printed), slider, jnp.zeros_like(about), 4 * about + 2)
+        return root_between(_excess, slider, jnp.zeros_like(about), 4 * about + 2)
 
     return each_slider(one, slider)
 
@@ -181,40 +176,29 @@ def length_eq25(slider: Slider) -> Float[Array, "..."]:
 
 
 @jax.jit
-def asymptotic_decay_length(slider: Slider) -> Float[Array, "..."]:
-    """κ_2⁻¹ ≈ [2(1+ν) + h/q]^{1/2}/h in λc, label cra44, for h, q ≪ 1; `Slider.slow_decay_length` is exact."""
-
-    def one(slider: Slider) -> Array:
-        H = jnp.asarray(slider.height)
-        return H * jnp.sqrt(2 * (1 + jnp.asarray(slider.poisson)) + 1 / (H * slider.stiffness))
-
-    return each_slider(one, slider)
-
-
-@partial(jax.jit, static_argnames="printed")
-def appendix(slider: Slider, *, printed: bool = False) -> Appendix:
+def appendix(slider: Slider) -> Appendix:
     """Every named quantity of the Appendix, up to Eq. (58). NaN in those that do not exist at this slider."""
-    return Appendix(*each_slider(lambda x: tuple(_appendix(x, printed)), slider))
+    return Appendix(*each_slider(lambda x: tuple(_appendix(x)), slider))
 
 
-@partial(jax.jit, static_argnames="printed")
-def length(slider: Slider, *, printed: bool = False) -> Float[Array, "..."]:
+@jax.jit
+def length(slider: Slider) -> Float[Array, "..."]:
     """Eq. (58), label cra58, corrected: Λ ≈ κ_3⁻¹ ln y with ℬy = (y + C)^α, in λc.
 
     It replaces the front stress of `length_frozen` by a function with the right value and slope at the edge and the right
     tail. For H ≫ λc, k ≪ K. NaN where A_0 ≤ 1 (the front does not start), or where cra57c has no solution κ_3.
 
-    Erratum: Ψ_6 (cra54) enters through A_0 and γ; `printed` restores the paper's.
+    Erratum: Ψ_6 (cra54) enters through A_0 and γ.
     """
-    return each_slider(lambda x: _appendix(x, printed).length, slider)
+    return each_slider(lambda x: _appendix(x).length, slider)
 
 
-def _appendix(slider: Slider, printed: bool) -> Appendix:
+def _appendix(slider: Slider) -> Appendix:
     k, k2 = slider.kappa, slider.kappa_2
     zero = jnp.zeros_like(k)
     load, psi2 = _load(slider), _psi2(slider)
-    A3, A4 = _a3_start(slider, printed), _a4(slider, zero)
-    psi6_slope = _psi6_slope(slider, zero, printed)
+    A3, A4 = _a3_start(slider), _a4(slider, zero)
+    psi6_slope = _psi6_slope(slider, zero)
     gamma3 = -k / (1 + k) * (slider.beta + k - load / A3 * psi2 * psi6_slope / k)
     A0 = A3 + A4
     gamma = (gamma3 * A3 - k2 * A4) / A0
@@ -240,7 +224,7 @@ def _appendix(slider: Slider, printed: bool) -> Appendix:
     found = root_between(excess, (A0, alpha, C, k3), zero, 4 * leading_length(slider) + 2)
     B = A0 * (1 + C) ** alpha
     first = load / slider.beta, _psi1(slider), psi2, load + _released(slider)
-    psi6_0 = psi6(slider, zero, printed=printed)
+    psi6_0 = psi6(slider, zero)
     return Appendix(
         *first, psi6_0, psi6_slope, A3, A4, gamma3, A0, gamma, far, k3, alpha, C, B, jnp.where(A0 > 1, found, jnp.nan)
     )

@@ -48,24 +48,9 @@ def runaway_prestress(slider: Slider) -> Float[Array, "..."]:
     return each_slider(one, slider)
 
 
-UNITS = {"areal_stiffness": "Pa/m", "height": "m", "young": "Pa"}
-
-
 def _numbers(**given: Any) -> list[Array]:
-    """Arguments as JAX's numbers, quantities in SI."""
-    return [jnp.asarray(as_float(name, x, UNITS.get(name, "")), dtype=float) for name, x in given.items()]
-
-
-def b_from_areal_stiffness(areal_stiffness: Any, height: Any, *, poisson: Any, young: Any) -> Float[Array, "..."]:
-    """The macroscopic number b = (k/λc²) H/G with G = E/2(1+ν): areal stiffness in Pa/m, height in m, Young's modulus in Pa."""
-    areal, H, nu, E = _numbers(areal_stiffness=areal_stiffness, height=height, poisson=poisson, young=young)
-    return areal * H * 2 * (1 + nu) / E
-
-
-def areal_stiffness_from_b(b: Any, height: Any, *, poisson: Any, young: Any) -> Float[Array, "..."]:
-    """k/λc² = b G/H in Pa/m, the inverse of `b_from_areal_stiffness`."""
-    b, H, nu, E = _numbers(b=b, height=height, poisson=poisson, young=young)
-    return b * E / (2 * (1 + nu) * H)
+    """Arguments as JAX's numbers."""
+    return [jnp.asarray(as_float(name, x), dtype=float) for name, x in given.items()]
 
 
 def length_ceiling(poisson: Any) -> Float[Array, "..."]:

@@ -133,8 +133,20 @@ class Steps(NamedTuple):
     rate: Float[Array, ""]  # its derivative (cra55)
 
 
-def steps(slider: Slider, s: Array, *, printed: bool = False) -> Steps:
-    """Every identity of the derivation at one front position s > 0; `printed` takes Ψ_6 as printed, which breaks two."""
+def printed_psi6(slider: Slider, s: Array) -> Array:
+    """Ψ_6 as printed: the coefficient of e^{−(κ+κ_2)s} is the constant term again."""
+    k, k2 = slider.kappa, slider.kappa_2
+    constant = -k * (k**2 + k2) / (k**2 - k2**2)
+    return k * (1 + k) / (2 * (k - k2)) * jnp.exp((k - k2) * s) + constant * (1 + jnp.exp(-(k + k2) * s))
+
+
+def asymptotic_decay_length(slider: Slider) -> Array:
+    """κ_2⁻¹ ≈ [2(1+ν) + h/q]^{1/2}/h in λc, label cra44, for h, q ≪ 1."""
+    return slider.height * jnp.sqrt(2 * (1 + slider.poisson) + 1 / (slider.height * slider.stiffness))
+
+
+def steps(slider: Slider, s: Array, psi6: Callable[[Slider, Array], Array] = psi6) -> Steps:
+    """Every identity of the derivation at one front position s > 0, with this Ψ_6; that of the paper breaks two."""
     k, load, free = slider.kappa, _load(slider), _released(slider)
     (A1, A2), psi3 = tail_amplitudes(slider, s), load + free
     p4, p5 = psi4(slider, s), psi5(slider, s)
@@ -145,7 +157,7 @@ def steps(slider: Slider, s: Array, *, printed: bool = False) -> Steps:
     by_up = k * free * _memory(slider, s, lambda y: jnp.exp(k * y))
     by_down = k * free * _memory(slider, s, lambda y: jnp.exp(-k * y))
     by_both = k * free * _memory(slider, s, lambda y: jnp.cosh(k * y) + k * jnp.sinh(k * y))
-    p6, p6_slope = jax.jvp(lambda y: psi6(slider, y, printed=printed), (s,), (jnp.ones_like(s),))
+    p6, p6_slope = jax.jvp(lambda y: psi6(slider, y), (s,), (jnp.ones_like(s),))
     kernel = free / (1 + k) * (cosh + k * sinh) * down
     return Steps(
         boundary=A2 - A1 / k - psi3,
@@ -168,7 +180,7 @@ def fitted_stress(slider: Slider, s: Array) -> Array:
 
 
 def _a3(slider: Slider, s: Array) -> Array:
-    return _stress(slider, s, printed=False) - _a4(slider, s)
+    return _stress(slider, s) - _a4(slider, s)
 
 
 def _memory(slider: Slider, s: Array, kernel: Callable[[Array], Array]) -> Array:

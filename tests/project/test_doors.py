@@ -33,10 +33,6 @@ IN_SI = {
     "Measurements.from_si": (sp.Measurements.from_si, TABLE | FORCES),
     "design": (lambda **given: sp.design(KNOWN, **given), DESIGN),
     "Gauges": (lambda **given: sp.Gauges([0], **given), READ),
-    "theory": (
-        sp.theory.b_from_areal_stiffness,
-        {name: SI[name] for name in ("areal_stiffness", "height", "poisson", "young")},
-    ),
     "Knowledge.lognormal": (
         lambda stiffness: sp.Knowledge.lognormal(stiffness, 0.3, in_si=True, nodes=5),
         {"stiffness": 2e10},

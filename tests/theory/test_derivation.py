@@ -40,7 +40,7 @@ def with_slopes(function):
 nucleated = with_slopes(d.layer_at_nucleation)
 ahead = with_slopes(d.bounded_layer_ahead)
 behind = with_slopes(d.layer_behind)
-steps = of_slider(lambda slider, s: (d.steps(slider, s), d.steps(slider, s, printed=True)))
+steps = of_slider(lambda slider, s: (d.steps(slider, s), d.steps(slider, s, d.printed_psi6)))
 front = of_slider(theory.frozen_stress)
 
 
@@ -104,7 +104,7 @@ def test_every_step_from_continuity_to_the_equation_of_a3(x):
         assert {name for name, v in printed._asdict().items() if abs(v) > 1e-9 * scale} == {"integral", "rate"}
         # cra54b is the derivative of cra54, corrected
         slope = jax.grad(lambda y: psi6(slider, y))(s) * np.exp(-float(slider.kappa) * s)
-        np.testing.assert_allclose(slope, theory.frozen._psi6_slope(slider, s, False), rtol=1e-11)
+        np.testing.assert_allclose(slope, theory.frozen._psi6_slope(slider, s), rtol=1e-11)
 
 
 @functools.cache
