@@ -41,7 +41,7 @@ RIGID = 1e12
 
 MOST_CONTACTS = 2**13
 """Largest number of contacts resolved of a block, whose response is a matrix of that size."""
-LENGTH = Domain(1, 2**31 - 1, "a block is at least two contacts long")
+LENGTH = Domain(2, 2**31 - 1, "a block is at least two contacts long, and less than 2**31 - 1", closed="low")
 OF_SIDE = Domain(0, 1, "must lie in (0, 1): a part of the height of the block")
 
 

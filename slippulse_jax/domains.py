@@ -1,7 +1,7 @@
 """Domains of the numbers of the model, and their checks."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -13,14 +13,15 @@ from slippulse_jax.files import shortened
 class Domain(NamedTuple):
     """An interval, and the message for a value outside."""
 
-    low: float  # excluded
+    low: float
     high: float
     requirement: str
-    closed: bool = False  # whether `high` is included
+    closed: Literal["neither", "low", "high", "both"] = "neither"  # ends that are included
 
     def holds(self, x: Any) -> Any:
         """Whether `x` lies in it, element by element; numbers, NumPy arrays, JAX arrays and tracers."""
-        return (x > self.low) & ((x <= self.high) if self.closed else (x < self.high))
+        above = x >= self.low if self.closed in ("low", "both") else x > self.low
+        return above & (x <= self.high if self.closed in ("high", "both") else x < self.high)
 
     def check(self, name: str, value: Any) -> None:
         """Check a value as `check_domain` does."""
@@ -30,14 +31,14 @@ class Domain(NamedTuple):
 HEIGHT = Domain(1, np.inf, "must exceed 1: the height in units of the correlation length λc")
 STIFFNESS = Domain(0, np.inf, "must be positive: the contact stiffness k in units of K = Eλc")
 NORMAL_STIFFNESS = Domain(0, np.inf, "must be positive: the normal stiffness of the interface over that in shear")
-FRICTION = Domain(-1e-300, np.inf, "must be 0 or more, and finite: the friction coefficient μ of a contact")
+FRICTION = Domain(0, np.inf, "must be 0 or more, and finite: the friction coefficient μ of a contact", closed="low")
 THRESHOLD = Domain(0, np.inf, "must be positive: the stress θ at which a contact breaks, in σ_s")
 MACHINE = Domain(0, np.inf, "must be positive: the stiffness M of the machine in units of K = Eλc, both per slice λc wide")
 CORRELATION_LENGTH = Domain(
-    0.999e-10, np.inf, "the correlation length must be positive, and no less than an atom's size, 0.1 nm"
+    1e-10, np.inf, "the correlation length must be positive, and no less than an atom's size, 0.1 nm", closed="low"
 )
-YOUNG = Domain(0, 1e13, "Young's modulus must be positive, and below 10⁴ GPa, ten times diamond's", closed=True)
-POISSON = Domain(-1, 0.5, "must lie in (-1, 0.5]: Poisson's ratio ν", closed=True)
+YOUNG = Domain(0, 1e13, "Young's modulus must be positive, and below 10⁴ GPa, ten times diamond's")
+POISSON = Domain(-1, 0.5, "must lie in (-1, 0.5]: Poisson's ratio ν", closed="high")
 PRESTRESS = Domain(-1, 1, "must lie in (-1, 1): the prestress φ = σ_0/σ_s")
 """At 1 a contact breaks without a push; at −1 it breaks backwards."""
 THRESHOLD_SLOPE = Domain(-1, np.inf, "must exceed -1: the rise ε of the threshold from contact to contact, in σ_s")
@@ -150,8 +151,9 @@ def check_domain(name: str, value: Any, inside: Any, requirement: str) -> None:
         return
     if in_unit(name, value) is not value and not isinstance(value, list | tuple):
         raise TypeError(f"{name} = {shortened(str(value))}: must be a number, not a quantity")
+    single = getattr(value, "dtype", None) == np.float32  # in which ends are rounded as the value is
     value = real_numbers(name, value)
-    bad = ~(np.isfinite(value) & inside(value))
+    bad = ~(np.isfinite(value) & inside(value.astype(np.float32) if single else value))
     if bad.any():
         index = [int(i) for i in np.argwhere(bad)[0]]
         where = f" at index {index[0] if len(index) == 1 else tuple(index)}" if index else ""

@@ -14,7 +14,7 @@ from jaxtyping import ArrayLike as AnyArrayLike
 from slippulse_jax.domains import Domain
 from slippulse_jax.units import quantity_field
 
-WIDTH = Domain(0.999e-6, 1, "must lie in [1e-6, 1], in σ_s", closed=True)
+WIDTH = Domain(1e-6, 1, "must lie in [1e-6, 1], in σ_s", closed="both")
 
 
 class BreakRule(eqx.Module):

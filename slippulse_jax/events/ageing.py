@@ -25,7 +25,7 @@ from slippulse_jax.units import quantity_field
 Law = Literal["exponential", "logarithmic"]
 Clock = Literal["load", "time"]
 
-NEWBORN = Domain(0, 1, "must lie in (0, 1]: the threshold of a newborn contact over that of an old one", closed=True)
+NEWBORN = Domain(0, 1, "must lie in (0, 1]: the threshold of a newborn contact over that of an old one", closed="high")
 SCALE = Domain(0, float("inf"), "must be positive: the age by which a contact recovers")
 
 

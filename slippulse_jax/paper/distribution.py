@@ -56,8 +56,8 @@ class ThresholdDistribution(eqx.Module):
 
     def __check_init__(self) -> None:
         check_choice("ThresholdDistribution.kind", self.kind, Kind)
-        most = {"normal": np.inf, "uniform": 1 / np.sqrt(3) + 1e-15, "weibull": 1.0}[self.kind]
-        domain = Domain(0, most, f"must be positive and at most {most:.4g}", closed=True)
+        most = {"normal": np.inf, "uniform": 1 / np.sqrt(3), "weibull": 1.0}[self.kind]
+        domain = Domain(0, most, f"must be positive and at most {most:.4g}", closed="high")
         domain.check("ThresholdDistribution.width", self.width)
 
     def cumulative(self, x: Array) -> Array:

@@ -681,7 +681,7 @@ class BlockSequence(BlockEvent):
         "log_machine": FirstFront.inputs["log_machine"],
         "newborn": Input("newborn", 0.0, 1.0, "must lie in (0, 1]", 1e-4, (0.01, 1.0)),
         "log_time": Input("τ/u_s", -np.inf, np.inf, ""),
-        "threshold_scatter": Input("scatter", -1e-300, 0.3, "must lie in [0, 0.3)", 1e-4, (0.0, 0.3)),
+        "threshold_scatter": Input("scatter", 0.0, 0.3, "must lie in [0, 0.3)", 1e-4, (0.0, 0.3)),
         "log_extent": Input("", -np.inf, np.inf, ""),
         "datum": Input("", 0.0, np.inf, ""),
     }

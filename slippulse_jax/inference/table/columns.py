@@ -122,20 +122,20 @@ def _positive(requirement: str) -> Domain:
     return Domain(0, np.inf, requirement)
 
 
-ERROR = Domain(-1e-300, np.inf, "a standard error cannot be negative")
+ERROR = Domain(0, np.inf, "a standard error cannot be negative", closed="low")
 """0 included: exactly known."""
 ERROR_OF_READING = _positive("the standard error must be positive")
 HEIGHT = Domain(1, np.inf, "the height must exceed the correlation length λc")
 LENGTH = _positive("a length must be positive")
-BLOCK_LENGTH = Domain(np.nextafter(2, 0), np.inf, "a block must be at least two correlation lengths λc long")
+BLOCK_LENGTH = Domain(2, np.inf, "a block must be at least two correlation lengths λc long", closed="low")
 PUSH_HEIGHT = _positive("the push must lie above the interface")
 PUSH_WIDTH = _positive("the height of a pusher must be positive; blank where it covers everything above")
 MACHINE = _positive("the stiffness of a machine must be positive")
 WIDTH = _positive("the width of a block must be positive")
 DISPLACEMENT = _positive("a displacement at nucleation must be positive")
 FORCE = _positive("a driving force must be positive")
-EVENT = Domain(1 - 1e-9, np.inf, "events are numbered from 1")
-POSITION = Domain(-1e-300, np.inf, "a position must be finite and not negative")
+EVENT = Domain(1, np.inf, "events are numbered from 1", closed="low")
+POSITION = Domain(0, np.inf, "a position must be finite and not negative", closed="low")
 
 _ROWS = (
     Column("height", "mm", "λc", HEIGHT, "Height H of the slider or block", required=True,
@@ -167,7 +167,8 @@ _ROWS = (
            symbols="pusher_height"),
     Column("friction", "", "", FRICTION, "Friction coefficient μ: thresholds follow the pressure, which the push tilts",
            needs="push_height", symbols="μ mu μ_s mu_s friction_coefficient static_friction",
-           usual=("μ larger by 10 %", math.log(1.1), -math.log(1.1)), likely=Domain(-1e-300, 2, "that of no dry contact")),
+           usual=("μ larger by 10 %", math.log(1.1), -math.log(1.1)),
+           likely=Domain(0, 2, "that of no dry contact", closed="low")),
     Column("normal_stiffness", "", "", NORMAL_STIFFNESS, "Normal over shear stiffness, k_n/k, of the contacts of a block: 1.2 "
            "where `friction` is given, else without limit", needs="push_height"),
     Column("machine_stiffness", "N_per_m", "E", MACHINE, "Stiffness of the machine, from its own frame to the edge; as an "
