@@ -23,6 +23,7 @@ from slippulse_jax.domains import (
     Domain,
     check_choice,
     check_kind,
+    check_whole,
 )
 from slippulse_jax.shown import html, in_a_line, short
 from slippulse_jax.slider import Real, Slider, from_si
@@ -131,13 +132,14 @@ class Push(eqx.Module):
         return centre - half, centre + half
 
 
-def checked_sites(block: "Block", sites: Numbers | None) -> int:
+def checked_sites(block: "Block", sites: Any) -> int:
     """Number of contacts to resolve, which must fit into memory; a block that ends needs all of its own."""
-    if not isinstance(sites, int) or not 2 <= sites <= MOST_CONTACTS:
-        raise ValueError(f"sites = {sites}: of a block a whole number from 2 to {MOST_CONTACTS}")
+    check_whole("sites", sites, 2)
+    if sites > MOST_CONTACTS:
+        raise ValueError(f"sites = {sites}: at most {MOST_CONTACTS} contacts of a block are resolved")
     if sites < (block.sites or 0):
         raise ValueError(f"sites = {sites}: a block of {block.sites} contacts needs all of them")
-    return sites
+    return int(sites)
 
 
 def has_push(given: Container[str], control: Control) -> bool:

@@ -23,6 +23,7 @@ from slippulse_jax.domains import (
     THRESHOLD_SLOPE,
     real_numbers,
 )
+from slippulse_jax.files import plain
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS
 from slippulse_jax.interface import Interface, check_bulk
 from slippulse_jax.rules import WIDTH, SmoothBreak
@@ -97,8 +98,8 @@ class Request(NamedTuple):
             "combined": "points" if "point" in self.axes.sizes else "product",
             "outputs": list(self.outputs),
             "right": self.right,
-            "sites": self.sites,
-            "max_contacts": self.max_contacts,
+            "sites": plain(self.sites),
+            "max_contacts": plain(self.max_contacts),
             **({"push_control": self.push_control} if "push_height" in self.axes else {}),
             **({"contact_law": self.contact_law} if self.contact_law != "amontons" else {}),
             **({"top": self.top} if self.top != "free" else {}),

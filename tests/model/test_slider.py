@@ -1,6 +1,7 @@
 """The slider's numbers against the paper's formulas in many digits, and what it refuses."""
 
 import re
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -138,16 +139,56 @@ def test_what_is_no_number_is_refused(bad):
             call()
 
 
-@pytest.mark.parametrize("bad", [40.5, float("nan"), "40", -1, True])
+class Own(eqx.Module):
+    """A body of one's own: a slider's contacts."""
+
+    slider: Slider
+
+    @property
+    def stiffness(self):
+        return self.slider.stiffness
+
+    def contacts(self, interface, sites):
+        return self.slider.contacts(interface, sites)
+
+
+BLOCK, OWN = sp.Block(3.0, 0.1, 0.3), Own(Slider(3.0, 0.1, 0.3))
+WHOLE_SITES = {
+    "chain": lambda n: sp.chain(SLIDER, sites=n).threshold,
+    "sensitivity": lambda n: sp.sensitivity(SLIDER, sites=n).threshold,
+    "length of a block": lambda n: sp.precursor_length(BLOCK, sites=n),
+    "record of a block": lambda n: sp.first_precursor(BLOCK, sites=n).length,
+    "series of a block": lambda n: sp.series(BLOCK, events=1, sites=n).length,
+    "length of an own body": lambda n: sp.precursor_length(OWN, sites=n),
+    "series of an own body": lambda n: sp.series(OWN, events=1, sites=n).length,
+}
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("name", WHOLE_SITES)
+def test_whole_numbers_of_numpy_are_taken(name):
+    call = WHOLE_SITES[name]
+    expected = np.asarray(call(16))
+    for kind in (np.int32, np.int64):
+        np.testing.assert_array_equal(call(kind(16)), expected)
+
+
+@pytest.mark.ci
+def test_a_sweep_takes_whole_numbers_of_numpy():
+    given = {"height": [9.0], "stiffness": 0.1, "poisson": 0.3, "right": "free", "progress": False}
+    expected = sp.sweep(**given, sites=16, max_contacts=1000)
+    assert sp.sweep(**given, sites=np.int64(16), max_contacts=np.int32(1000)).identical(expected)
+
+
+@pytest.mark.parametrize("bad", [40.5, float("nan"), "40", -1, True, np.array(40)], ids=repr)
 def test_counts_are_whole_numbers(bad):
     slider = Slider(25.0, 0.03, 0.3)
     chain = sp.chain(slider, sites=10)
     for call in (
-        lambda: sp.chain(slider, sites=bad),
+        *(partial(call, bad) for call in WHOLE_SITES.values()),
         lambda: sp.series(chain, events=bad),
         lambda: sp.precursor_length(slider, max_contacts=bad),
         lambda: sp.first_precursor(slider, recorded_sites=bad),
-        lambda: sp.sensitivity(slider, sites=bad),
         lambda: sp.rupture(chain, chain.relaxed(4.0), max_breaks=bad),
     ):
         with pytest.raises(ValueError, match="must be a whole number"):
