@@ -69,34 +69,13 @@ def test_the_commands_json_is_that_of_save(tmp_path):
     assert json.loads(saved.read_text()) == json.loads(path.read_text())
 
 
-@pytest.mark.ci
-def test_a_fit_of_version_0_2_is_read():
-    """With the verdicts and words of a fit of its table today, and its numbers but for those of ℓ* and ℓ."""
-    loaded = sp.load_fit(Path(__file__).with_name("fit_of_version_0.2.json"))
-    again = sp.fit(loaded.measurements, **loaded.request)
-    assert loaded.values == pytest.approx(again.values, abs=1e-3 * again.stderrs["stiffness"])
-    assert loaded.stderrs == pytest.approx(again.stderrs, rel=1e-3)
-    for level, pieces in again.intervals["stiffness"].items():
-        np.testing.assert_allclose(loaded.intervals["stiffness"][level], pieces, rtol=1e-5)
-    assert loaded.verdicts == again.verdicts
-    np.testing.assert_allclose(loaded.residuals, again.residuals, atol=1e-3)
-    assert loaded.report() == again.report()
-
-
-def test_what_version_0_2_added_to_sigma_is_still_said():
-    """Fits of sliders add nothing for the definition of a length today; one that was saved with it says so in full."""
-    loaded = sp.load_fit(Path(__file__).with_name("fit_of_version_0.2.json"))
-    added = dataclasses.replace(loaded, between_contacts=np.full(len(loaded.measurements), 0.05))
-    said = [note for note in added.notes if "added to σ in quadrature" in note]
-    assert [note.split(" within ")[0] for note in said] == ["a length between two whole contacts is defined only"]
-
-
 def test_other_files_are_refused(tmp_path):
     path = tmp_path / "fit.json"
     with pytest.raises(FileNotFoundError):
         sp.load_fit(path)
     for content, message in (
         ("{}", "its schema is not 2"),
+        ('{"schema": 1}', "its schema is not 2"),
         ('{"schema": 99}', "its schema is not 2"),
         ("[1", "fit.json"),
     ):
@@ -189,22 +168,18 @@ def test_a_loaded_fit_fits_nothing_again(name, tmp_path, monkeypatch, worked):
 
 
 @pytest.mark.ci
-def test_likely_mistakes_are_found_once_and_kept(tmp_path, monkeypatch):
-    """Told by a warning, in the box and in the record; of a record written before it had them they are found again."""
+def test_likely_mistakes_are_found_once_and_kept(tmp_path):
+    """Told by a warning, in the box and in the record."""
     m = sp.read_measurements(LENGTHS)
     longer = dataclasses.replace(m, length=10 * m.length, length_sigma=10 * m.length_sigma)
-    path, earlier = tmp_path / "fit.json", tmp_path / "earlier.json"
+    path = tmp_path / "fit.json"
     with pytest.warns(MeasurementWarning) as told:
         result = sp.fit(longer, ["stiffness", sp.Parameter("height", prior=(25.0, 1.0))], intervals="profile")
     assert result.suspicions == tuple(str(one.message) for one in told)
     assert told[0].filename == __file__
     assert len(result.suspicions) == 2
     result.save(path)
-    content = json.loads(path.read_text())
-    assert content.pop("suspicions") == list(result.suspicions)
-    earlier.write_text(json.dumps(content))
-    assert sp.load_fit(earlier).suspicions == result.suspicions
-    monkeypatch.setattr("slippulse_jax.inference.result.record.suspicions", None)
+    assert json.loads(path.read_text())["suspicions"] == list(result.suspicions)
     loaded = sp.load_fit(path)
     assert loaded.suspicions == result.suspicions
     assert loaded.report() == result.report()

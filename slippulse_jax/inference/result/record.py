@@ -16,7 +16,7 @@ import numpy as np
 
 from slippulse_jax.files import file_name, plain, read_whole, shortened
 from slippulse_jax.inference.choices import Loss
-from slippulse_jax.inference.model.check import checked, suspicions
+from slippulse_jax.inference.model.check import checked
 from slippulse_jax.inference.model.fronts import Front
 from slippulse_jax.inference.model.parameters import Parameter, with_errors_of_measuring
 from slippulse_jax.inference.result.changes import Change
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 Record = TypeVar("Record")
 
 SCHEMA = 2
-"""Version of the record: larger where its form has changed. That of version 0.2 of the package, 1, is read too."""
+"""Version of the record: larger where its form has changed."""
 SETTINGS = ("loss", "sigma", "method", "max_steps", "seed", "intervals", "event", "body", "model_error")
 """Arguments of a fit that a request holds beside its parameters."""
 LARGEST = 64 * 2**20
@@ -156,10 +156,8 @@ def to_dict(result: "FitResult") -> dict[str, Any]:
 def of_dict(kind: type[Record], content: dict[str, Any]) -> tuple[Record, dict[str, Any]]:
     """Restore a fit, and its `changes` and `next_steps`, from `to_dict`.
 
-    `kind` is `FitResult`. Of these two what the record has. A ValueError if this version has no model for it.
+    `kind` is `FitResult`. A ValueError if this version has no model for it.
     """
-    if content["schema"] == 1:
-        content = _of_version_1(content)
     request: dict[str, Any] = {"event": None, "body": None} | from_request(content["request"])
     if request.get("loss", "normal") not in get_args(Loss):
         raise ValueError(f"loss = {request['loss']!r}, which this version does not have: repeat the fit with another")
@@ -174,42 +172,10 @@ def of_dict(kind: type[Record], content: dict[str, Any]) -> tuple[Record, dict[s
         problem = problem.widened(np.array(content["between_contacts"], dtype=float))
     if content.get("scatter") is not None:
         problem = problem.with_sigma(content["scatter"], of_lengths=m.length_sigma is None)
-    if "suspicions" not in content:  # as before 0.3
-        content = {**content, "suspicions": suspicions(m, request["free"])}
     found = decode(kind, {**content, "request": {}}, problem=problem, parameters=q)
     known = {"changes": list[Change], "next_steps": list[str]}
-    known = {name: decode(hint, content[name], np.nan) for name, hint in known.items() if name in content}
+    known = {name: decode(hint, content[name], np.nan) for name, hint in known.items()}
     return dataclasses.replace(found, request=request), known  # pyright: ignore[reportArgumentType]
-
-
-def _of_version_1(content: dict[str, Any]) -> dict[str, Any]:
-    """The record as written by version 0.2, in the present form."""
-    found, none = content["search"], {"singular": [False] * len(content["search"]["theta"]), "share": 1.0}
-    verdicts = {name: {**one, "reason": one["reason"] or ""} for name, one in content["verdicts"].items()}
-    return {
-        "request": content["request"],
-        "measurements": content["table"],
-        "theta": found["theta"],
-        "deviance": content["deviance"] if "deviance" in content else content["chi2"],
-        "minima": [{**none, **root} for root in found["roots"]],
-        "curves": found["curves"],
-        "intervals": {
-            name: {
-                level: [dict(zip(("low", "high", "open_low", "open_high"), piece, strict=True)) for piece in pieces]
-                for level, pieces in by_level.items()
-            }
-            for name, by_level in found["intervals"].items()
-        },
-        "verdicts": verdicts,
-        "scatter": content["sigma_scaled_by"],
-        "scatter_dof": found["rise"]["dof"],
-        "testable_dof": found["testable_dof"],
-        "unconverged": found["unconverged"],
-        "attainable": [one["attainable"] for one in content["measurements"]],
-        "attainable_at": [one["attainable_at_stiffness"] for one in content["measurements"]],
-        "between_contacts": found["between_contacts"],
-        "covered": dict.fromkeys(verdicts, [1.0, 1.0]) if found.get("calibrated") else {},
-    }
 
 
 def read_record(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -218,7 +184,7 @@ def read_record(path: str | os.PathLike[str]) -> dict[str, Any]:
     A ValueError if it is none, or of another schema, an OSError if it cannot be opened.
     """
     name, content = os.fspath(path), read_request_file(path)
-    if not isinstance(content, dict) or content.get("schema") not in (1, SCHEMA):
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise ValueError(
             f"{name}: not a fit that this version can read (its schema is not {SCHEMA}); repeat it (slippulse fit TABLE.CSV "
             f"--request {name})"
@@ -263,7 +229,7 @@ def data_hash(m: Measurements) -> str:
             column = getattr(table, name)
             if column is not None:
                 digest.update(name.encode() + b"=" + np.ascontiguousarray(column, "<f8").tobytes())
-    since = [name for name in ("contact_law", "top") if getattr(m, name)]  # which tables of version 0.2 have not
+    since = [name for name in ("contact_law", "top") if getattr(m, name)]  # as in the hashes of tables without them
     for name in ("kind", "push_control", "specimen", "provenance", *since):
         digest.update(json.dumps([name, *getattr(m, name)]).encode())
     return digest.hexdigest()

@@ -371,7 +371,6 @@ def load_fit(path: str | os.PathLike[str]) -> FitResult:
     """Read a fit that `FitResult.save` wrote, or ``slippulse fit --json`` printed.
 
     Nothing is fitted again: measurements, request, what the search found, and what else would move the result are in the file.
-    What else would move a fit that version 0.2 wrote is found when it is first asked for.
 
     Raises
     ------
