@@ -56,7 +56,7 @@ def one_block(height: float) -> Callable[[], Any]:
 
 
 def series() -> Callable[[], Any]:
-    chain = sp.chain(sp.Slider(25.0, 0.03, 0.3), sites=300, right="free")
+    chain = sp.chain(sp.Slider(25.0, 0.03, 0.3, length=300))
     return lambda: jax.block_until_ready(sp.series(chain, events=200).load)
 
 

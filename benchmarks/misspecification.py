@@ -35,13 +35,13 @@ def itself(slider: sp.Slider) -> float:
 
 def inertial(slider: sp.Slider) -> float:
     """Extent of the first precursor of a slightly damped chain."""
-    motion = sp.simulate_inertial(sp.chain(slider, sites=SITES, right="semi-infinite"), duration=600.0, damping=0.1)
+    motion = sp.simulate_inertial(sp.chain(slider, sites=SITES), duration=600.0, damping=0.1)
     return float(motion.extent) - 0.5
 
 
 def ageing(slider: sp.Slider) -> float:
     """Extent of the second precursor that reaches past the first, on contacts reborn at 0.3 σ_s that recover over 3 u_s."""
-    chain = sp.chain(slider, sites=SITES, right="semi-infinite")
+    chain = sp.chain(slider, sites=SITES)
     catalogue = sp.series(chain, events=40, ageing=sp.Ageing(newborn=0.3, scale=3.0))
     extent = np.asarray(catalogue.extent)
     beyond = np.nonzero(extent > extent[0])[0]

@@ -4,17 +4,21 @@ For functions of few parameters; for zero crossings, as implicit functions; and 
 differentiated.
 """
 
+import functools
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NoReturn
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from slippulse_jax.bulk.compiler import in_full
+from slippulse_jax.bulk.double import IN_DOUBLE, as_type, in_double, is_traced
 
 Function = Callable[..., Float[Array, "..."]]
 
@@ -69,6 +73,36 @@ def by_forward_mode(f: Function, first: Callable[[Function], Function] = with_ja
         return both[..., 0], both[..., 1:] @ jnp.concatenate([jnp.ravel(x) for x in tangents[1:]])
 
     return partial(differentiable, held)
+
+
+def known(given: Any, why: str) -> Any:
+    """Strip numbers of their derivatives; a ValueError, for a reason, where JAX does not know them."""
+    try:
+        return jax.tree.map(np.asarray, lax.stop_gradient(given))
+    except jax.errors.JAXTypeError:
+        raise ValueError(f"under jit and vmap {why}") from None
+
+
+def under_grad_too(function: Callable[..., Array]) -> Callable[..., Array]:
+    """As `in_double`, of a function that returns an array, and under ``grad`` in single precision too."""
+
+    @functools.wraps(function)
+    def computed(*given: Any) -> Array:
+        if jax.config.jax_enable_x64 or not is_traced(given):  # pyright: ignore[reportAttributeAccessIssue]
+            return in_double(function)(*given)
+        known(given, IN_DOUBLE)
+        moving, held = eqx.partition(given, lambda x: isinstance(x, Tracer) and jnp.issubdtype(x.dtype, jnp.floating))
+        numbers, tree = jax.tree.flatten(moving)
+        held = known(held, IN_DOUBLE)
+
+        def one(*numbers: Array) -> Array:
+            with jax.enable_x64(True):  # in here, because JAX computes derivatives later
+                every = eqx.combine(jax.tree.unflatten(tree, numbers), held)
+                return as_type(function(*jax.tree.map(lambda x: as_type(x, np.float64), every)), np.float32)
+
+        return by_forward_mode(one)(*numbers)
+
+    return computed
 
 
 def without_derivative(f: Callable[..., Any], why: str, static_argnums: tuple[int, ...] = ()) -> Callable[..., Any]:

@@ -34,6 +34,7 @@ NORMAL_STIFFNESS = Domain(0, np.inf, "must be positive: the normal stiffness of 
 FRICTION = Domain(0, np.inf, "must be 0 or more, and finite: the friction coefficient μ of a contact", closed="low")
 THRESHOLD = Domain(0, np.inf, "must be positive: the stress θ at which a contact breaks, in σ_s")
 MACHINE = Domain(0, np.inf, "must be positive: the stiffness M of the machine in units of K = Eλc, both per slice λc wide")
+SITES = Domain(2, np.inf, "at least two contacts are a chain", closed="low")
 CORRELATION_LENGTH = Domain(
     1e-10, np.inf, "the correlation length must be positive, and no less than an atom's size, 0.1 nm", closed="low"
 )

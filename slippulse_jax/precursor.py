@@ -20,14 +20,12 @@ from slippulse_jax.blocks import size
 from slippulse_jax.blocks.event import BlockPrecursor
 from slippulse_jax.bodies.modes import (
     ChainFields,
-    Ends,
     Modes,
-    RightEnd,
-    ends_of,
     equilibrium_fields,
     lattice_modes,
 )
-from slippulse_jax.bulk.double import in_double
+from slippulse_jax.bulk.double import is_traced
+from slippulse_jax.derivatives import under_grad_too
 from slippulse_jax.domains import check_kind, check_single, check_whole
 from slippulse_jax.events import first
 from slippulse_jax.front import front
@@ -44,7 +42,7 @@ from slippulse_jax.rules import HARD, BreakRule, HardBreak, check_rule
 from slippulse_jax.shown import html, in_a_line, short
 from slippulse_jax.slider import Slider
 from slippulse_jax.status import Outcome
-from slippulse_jax.units import Numbers, at_least_single
+from slippulse_jax.units import at_least_single
 
 FLOAT32_HEIGHT = 1000.0
 """Largest H/λc for which single precision is taken without a warning: see `precursor_length`."""
@@ -115,9 +113,7 @@ def precursor_length(
     interface: Interface | Profile | None = None,
     *,
     rule: BreakRule = HARD,
-    right: RightEnd = "semi-infinite",
-    sites: Numbers | None = None,
-    machine: Numbers | None = None,
+    sites: int | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
     event: EventKind = "domino",
 ) -> Float[Array, "..."]:
@@ -133,9 +129,8 @@ def precursor_length(
     ----------
     slider : Slider or Block
         One slider or a batch; ℓ has its shape. Or one block, or a body of yours (docs/howto/extend.md), whose events are any
-        contacts in any order, the most overloaded next, and end at the rightmost; `sites` is then the number of contacts
-        resolved, at least those of a block with a `length`, which under ``jit`` and ``vmap`` must be given, and derivatives are
-        those at a fixed order of breaks.
+        contacts in any order, the most overloaded next, and end at the rightmost; derivatives are then those at a fixed order
+        of breaks.
     interface : Interface or Profile, optional
         Prestress and thresholds; the paper's own (relaxed, uniform) by default. An `Interface`
         broadcasts with the slider; a `Profile` belongs to one slider.
@@ -143,20 +138,14 @@ def precursor_length(
         What a contact does at its threshold: breaks as a whole (the paper's rule), or gradually, over a width. The smooth
         length tends to that on a straight line as it gets narrower, and has a derivative in the width too; of blocks, where
         the event begins at the edge.
-    right : {"semi-infinite", "free", "clamped"}
-        Right end of the chain; the paper's theory is semi-infinite.
-    sites : array_like, optional
-        Number of sites N of a finite chain; broadcasts with the slider. The formulas take any real N ≥ 2: a free end is then a
-        mirror at (N − ½) λc from contact 0, and contacts are those before it.
-    machine : array_like, optional
-        M/K, the stiffness of the machine over the width of the block and E (K = Eλc is that of a slice one λc wide). The
-        machine stays where it is while the front runs, and pushes the edge through that spring; by default, and at inf, the
-        displacement of the edge is imposed.
+    sites : int, optional
+        Number of contacts resolved of a block, of a body of yours, or of a slider in a whole event; all that there are of one
+        with a `length`. Needed under ``jit`` and ``vmap``, and by a body of yours; otherwise as many as the event needs.
     max_contacts : int
         Breaks after which the front is given up.
     event : {"domino", "full"}
         The first front, in which each contact breaks at most once; or the whole event, in which contacts may break again, under
-        the hard rule. Both agree where none does, below b = 3.09 on relaxed sliders. The whole event of a slider is not traced.
+        the hard rule. Both agree where none does, below b = 3.09 on relaxed sliders.
 
     Returns
     -------
@@ -171,12 +160,12 @@ def precursor_length(
     FrontNotArrested
         If a single front, called outside ``jit``, was given up. A batch warns instead, and says which.
     ValueError
-        If the event of a block does not stop within the contacts that can be followed. If a block is traced by ``jit`` or
-        ``vmap`` in single precision, or the whole event of a slider by any.
+        If the event of a block does not stop within the contacts that can be followed. If a block, or the whole event of a
+        slider, is traced by ``jit`` or ``vmap`` in single precision.
 
     Notes
     -----
-    Differentiable in (height, stiffness, poisson), sites and machine to any order, forward and reverse: the crossing is
+    Differentiable in all numbers of the slider to any order, forward and reverse: the crossing is
     differentiated implicitly, by one pass of the recursion that carries a tangent each. From 1 on ℓ is continuous in the
     parameters, and agrees with the closed form ℓ* of `exact_length` to 1.4e-3 λc from six contacts on, 1e-9 from a hundred on.
     On a straight line the slope jumps at whole contacts: the longer side's is returned. Time is proportional to ℓ.
@@ -198,43 +187,49 @@ def precursor_length(
     check_kind("interface", interface, Interface, Profile, NoneType)
     check_event(event)
     if not isinstance(slider, Slider):
-        _check_of_block(right=right, machine=machine, max_contacts=max_contacts)
+        _check_of_block(max_contacts=max_contacts)
         check_rule(rule, one=True)
         if event == "full" and not isinstance(rule, HardBreak):
             raise ValueError("event = 'full': under a smooth rule a front passes each contact once, so there is no other event")
         if isinstance(slider, Block):
             return size.precursor_length(slider, interface, sites, rule, event)
         check_whole("sites", sites, 2)
-        return in_double(partial(first.length, sites=sites, kind=event))(slider, interface, rule)
+        return under_grad_too(partial(first.length, sites=sites, kind=event))(slider, interface, rule)
     if event == "full":
-        return _whole(slider, interface, rule, ends_of(right, sites, machine), max_contacts)
-    ends = ends_of(right, sites, machine)
+        return _whole(slider, interface, rule, sites, max_contacts)
+    if sites is not None:
+        raise ValueError(f"sites = {sites}: the front of a slider needs none; one that ends is Slider(…, length={sites})")
     check_max_contacts(max_contacts)
     check_rule(rule, one=isinstance(interface, Profile))
     warn_single_precision(slider)
     if isinstance(interface, Profile):
         check_single("a Profile", slider=slider)
-    length = quantity("length", slider, interface, ends, max_contacts, rule)
+    length = quantity("length", slider, interface, max_contacts, rule)
     if not isinstance(length, Tracer) and np.isnan(length).any():
-        status = np.asarray(quantity("status", slider, interface, ends, max_contacts, rule))
+        status = np.asarray(quantity("status", slider, interface, max_contacts, rule))
         report_without_length(status, max_contacts, raises=length.ndim == 0)
     return length
 
 
-def _whole(slider: Slider, interface: AnyInterface, rule: BreakRule, ends: Ends, max_contacts: int) -> Array:
-    """Lengths of whole events."""
+def _whole(slider: Slider, interface: AnyInterface, rule: BreakRule, sites: int | None, max_contacts: int) -> Array:
+    """Lengths of whole events of sliders, each on `sites` contacts or as many as it needs."""
+    if not isinstance(rule, HardBreak):
+        raise ValueError("event = 'full': under a smooth rule a front passes each contact once, so there is no other event")
     if isinstance(interface, Profile):
-        raise ValueError("event = 'full': not on a Profile; take rupture of a chain on it")
-    if any(isinstance(x, Tracer) for x in jax.tree.leaves((slider, interface, rule, ends))):
-        raise ValueError(
-            "event = 'full': the whole event of a slider is not traced. Outside jit, vmap and grad use "
-            "precursor_lengths(…, event='full', derivatives=1), or rupture of a chain for its breaks"
-        )
-    found = np.asarray(whole_lengths(slider, interface, rule, ends, max_contacts))
-    if np.isnan(found).any():
-        status = np.where(np.isnan(found), Outcome.LIMIT, Outcome.ARRESTED)
-        report_without_length(status, max_contacts, raises=found.ndim == 0, stacklevel=4)
-    return jnp.asarray(found)
+        check_single("a Profile", slider=slider)
+    elif sites is None and not is_traced((slider, interface)):
+        found = np.asarray(whole_lengths(slider, interface, rule, max_contacts))
+        missing = np.where(np.isnan(found), Outcome.LIMIT, Outcome.ARRESTED)
+        report_without_length(missing, max_contacts, raises=found.ndim == 0, stacklevel=4)
+        return jnp.asarray(found)
+    numbers, kind = jax.tree.flatten((slider, interface))
+    on = under_grad_too(partial(size.resolved, sites=sites, event=partial(first.length, kind="full")))
+    if isinstance(interface, Profile) or not (shape := np.broadcast_shapes(*map(np.shape, numbers))):
+        return on((slider, interface))
+    lanes = [jnp.broadcast_to(x, shape).ravel() for x in numbers]
+    if sites is None:  # each has a number of its own
+        return jnp.stack([on(jax.tree.unflatten(kind, one)) for one in zip(*lanes, strict=True)]).reshape(shape)
+    return jax.vmap(lambda *one: on(jax.tree.unflatten(kind, one)))(*lanes).reshape(shape)
 
 
 @overload
@@ -242,7 +237,7 @@ def first_precursor(
     slider: Block,
     interface: Interface | Profile | None = None,
     *,
-    sites: Numbers | None = None,
+    sites: int | None = None,
     event: EventKind = "domino",
 ) -> BlockPrecursor: ...
 @overload
@@ -250,9 +245,6 @@ def first_precursor(
     slider: Slider,
     interface: Interface | Profile | None = None,
     *,
-    right: RightEnd = "semi-infinite",
-    sites: Numbers | None = None,
-    machine: Numbers | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
     recorded_sites: int | None = None,
     event: EventKind = "domino",
@@ -261,9 +253,7 @@ def first_precursor(
     slider: Slider | Block,
     interface: Interface | Profile | None = None,
     *,
-    right: RightEnd = "semi-infinite",
-    sites: Numbers | None = None,
-    machine: Numbers | None = None,
+    sites: int | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
     recorded_sites: int | None = None,
     event: EventKind = "domino",
@@ -274,7 +264,7 @@ def first_precursor(
     ----------
     slider : Slider or Block
         One slider (fields of shape ()); ``jax.vmap`` over a batch. Or one block.
-    interface, right, sites, machine, max_contacts
+    interface, sites, max_contacts
         As for `precursor_length`.
     recorded_sites : int, optional
         Number of sites on which stress and fields are given: the whole of a finite chain by default, otherwise four
@@ -298,38 +288,39 @@ def first_precursor(
     if recorded_sites is not None:
         check_whole("recorded_sites", recorded_sites, 1)
     if isinstance(slider, Block):
-        _check_of_block(right=right, machine=machine, max_contacts=max_contacts, recorded_sites=recorded_sites)
+        _check_of_block(max_contacts=max_contacts, recorded_sites=recorded_sites)
         return size.first_precursor(slider, interface, sites, event)
     if event == "full":
         raise ValueError("event = 'full': the record of a whole event of a slider is sp.rupture(sp.chain(slider, sites=…))")
-    ends = ends_of(right, sites, machine)
+    if sites is not None:
+        raise ValueError(f"sites = {sites}: the front of a slider needs none; one that ends is Slider(…, length={sites})")
     check_max_contacts(max_contacts)
     check_single("first_precursor (precursor_lengths for many)", slider=slider, interface=interface)
     slider = cast(Slider, jax.tree.map(at_least_single, slider))
     interface = jax.tree.map(at_least_single, interface)
     warn_single_precision(slider)
-    ended = _counted(*lax.stop_gradient((slider, interface, ends)), max_contacts)
+    ended = _counted(*lax.stop_gradient((slider, interface)), max_contacts)
     traced = isinstance(ended.contacts_broken, Tracer)
     if recorded_sites is None:
-        if traced and (sites is None or isinstance(sites, Tracer)):
+        if traced and (slider.length is None or isinstance(slider.length, Tracer)):
             raise ValueError(
                 "first_precursor under jit or vmap needs recorded_sites, because the length is not known beforehand: "
                 "jax.vmap(lambda slider: first_precursor(slider, recorded_sites=200))(sliders)"
             )
-        if sites is None:
+        if slider.length is None:
             report_without_length(np.asarray(ended.status), max_contacts, raises=True)
-        if sites is not None:
-            recorded_sites = math.ceil(np.asarray(sites) - 0.5)
+        if slider.length is not None and np.isfinite(slider.length):
+            recorded_sites = math.ceil(np.asarray(slider.length) - 0.5)
         else:  # a power of two, so that fronts of about the same length share a program
             recorded_sites = 1 << max(4 * int(ended.contacts_broken) - 1, 15).bit_length()
     if not traced and recorded_sites < int(ended.contacts_broken):
         raise ValueError(f"recorded_sites = {recorded_sites}, but {int(ended.contacts_broken)} contacts broke")
-    modes = lattice_modes(slider, ends)
+    modes = lattice_modes(slider)
     load, stress = _recorded(modes, interface, recorded_sites)
     return FirstPrecursor(
         slider=slider,
         contacts_broken=jnp.asarray(ended.contacts_broken),
-        length=quantity("length", slider, interface, ends, max_contacts),
+        length=quantity("length", slider, interface, max_contacts),
         load=load,
         status=jnp.asarray(ended.status),
         front_stress=stress,
@@ -338,7 +329,7 @@ def first_precursor(
     )
 
 
-_counted = jax.jit(arrest, static_argnums=3)
+_counted = jax.jit(arrest, static_argnums=2)
 
 
 @partial(jax.jit, static_argnames="sites")
@@ -350,9 +341,8 @@ def _recorded(modes: Modes, interface: AnyInterface, sites: int) -> tuple[Array,
 
 def _check_of_block(**given: Any) -> None:
     """Refuse what a block does not have."""
-    usual = {"right": "semi-infinite", "max_contacts": DEFAULT_MAX_CONTACTS}
     for name, value in given.items():
-        if value is not None and value != usual.get(name):
+        if value is not None and (name, value) != ("max_contacts", DEFAULT_MAX_CONTACTS):
             raise ValueError(f"{name} = {value!r}: not an option of a block, which has its own: Block(…, length=…, machine=…)")
 
 

@@ -8,20 +8,21 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jax.core import Tracer
+from jaxtyping import Array, Float, Int
 
-from slippulse_jax.domains import CORRELATION_LENGTH, HEIGHT, POISSON, STIFFNESS, YOUNG, Domain
+from slippulse_jax.choices import RightEnd
+from slippulse_jax.domains import CORRELATION_LENGTH, HEIGHT, MACHINE, POISSON, SITES, STIFFNESS, YOUNG, Domain, check_choice
 from slippulse_jax.shown import html, in_a_line, short
 from slippulse_jax.units import Numbers, as_float, at_least_single, quantity, quantity_field
 
 if TYPE_CHECKING:
-    from slippulse_jax.bodies.modes import RightEnd
     from slippulse_jax.events.first import Relaxed
     from slippulse_jax.interface import Interface, Profile
 
 Real = Array | np.ndarray | np.floating | float
 
-_DOMAIN = {"height": HEIGHT, "stiffness": STIFFNESS, "poisson": POISSON}
+_DOMAIN = {"height": HEIGHT, "stiffness": STIFFNESS, "poisson": POISSON, "length": SITES, "machine": MACHINE}
 
 
 class Fields(NamedTuple):
@@ -43,6 +44,15 @@ class Slider(eqx.Module):
         k/K, the stiffness of one λ-contact over that of an interfacial bond K = Eλc; > 0.
     poisson : array_like
         ν, Poisson's ratio of the bulk; in (−1, 0.5].
+    length : array_like, optional
+        L/λc, the number N of its contacts. Without it, and at inf, the slider is semi-infinite, as in the paper. The formulas
+        take any real N ≥ 2: a free end is then a mirror at (N − ½) λc from contact 0, and contacts are those before it.
+    right : {"semi-infinite", "free", "clamped"}, optional
+        Right end of one with a length: free by default, or tied to a wall one bond beyond its last contact.
+    machine : array_like, optional
+        M/K, the stiffness of the machine over the width of the block and E (K = Eλc is that of a slice one λc wide); > 0. The
+        machine stays where it is while the front runs, and pushes the edge through that spring; without it, and at inf, the
+        displacement of the edge is imposed.
 
     Raises
     ------
@@ -52,7 +62,7 @@ class Slider(eqx.Module):
 
     Notes
     -----
-    The three broadcast against each other: a `Slider` of arrays is a batch of sliders. It is a pytree, so that ``jax.vmap``
+    The numbers broadcast against each other: a `Slider` of arrays is a batch of sliders. It is a pytree, so that ``jax.vmap``
     and ``jax.grad`` work through it. ``jax.vmap(f)`` maps an axis of every field, and where a field has none JAX says only that
     "its rank should be at least 1": broadcast them, ``Slider(*jnp.broadcast_arrays(height, 0.03, 0.3))``, or map the numbers,
     ``jax.vmap(lambda height: f(Slider(height, 0.03, 0.3)))``.
@@ -67,18 +77,41 @@ class Slider(eqx.Module):
     height: Float[Real, "..."] = quantity_field("H/\\lambda_c", "1", "cra41", "height of the slider, H/λc")
     stiffness: Float[Real, "..."] = quantity_field("k/K", "1", "cra41", "contact stiffness, k/K")
     poisson: Float[Real, "..."] = quantity_field("\\nu", "1", "cra05", "Poisson's ratio")
+    length: Float[Real, "..."] | None = None
+    right: RightEnd = eqx.field(default="semi-infinite", static=True)
+    machine: Float[Real, "..."] | None = None
 
-    def __init__(self, height: Numbers, stiffness: Numbers, poisson: Numbers) -> None:
-        given = zip(_DOMAIN, (height, stiffness, poisson), strict=True)
+    def __init__(
+        self,
+        height: Numbers,
+        stiffness: Numbers,
+        poisson: Numbers,
+        *,
+        length: Numbers | None = None,
+        right: RightEnd | None = None,
+        machine: Numbers | None = None,
+    ) -> None:
+        given = zip(_DOMAIN, (height, stiffness, poisson), strict=False)
         self.height, self.stiffness, self.poisson = (as_float(f"Slider.{name}", x) for name, x in given)
+        ends = ("length", length), ("machine", machine)
+        self.length, self.machine = (None if x is None else as_float(f"Slider.{name}", x) for name, x in ends)
+        self.right = right or ("semi-infinite" if length is None else "free")
 
     def __check_init__(self) -> None:
+        check_choice("Slider.right", self.right, RightEnd)
+        if (self.right == "semi-infinite") != (self.length is None):
+            needed = "has no length" if self.length is not None else "needs a length, the number of its contacts"
+            raise ValueError(f"Slider.right = {self.right!r}: a slider with this end {needed}")
         for name, domain in _DOMAIN.items():
-            domain.check(f"Slider.{name}", getattr(self, name))
+            value = getattr(self, name)
+            if name in ("length", "machine") and not isinstance(value, Tracer | None):
+                value = np.where(np.isposinf(value), 2, value)  # none
+            if value is not None:
+                domain.check(f"Slider.{name}", value)
         try:
             self.shape  # noqa: B018
         except ValueError:
-            shapes = ", ".join(f"{name} {np.shape(getattr(self, name))}" for name in _DOMAIN)
+            shapes = ", ".join(f"{name} {np.shape(getattr(self, name))}" for name in _DOMAIN if getattr(self, name) is not None)
             raise ValueError(f"the fields of a Slider must broadcast together: {shapes}") from None
 
     @classmethod
@@ -116,7 +149,13 @@ class Slider(eqx.Module):
     @property
     def shape(self) -> tuple[int, ...]:
         """Shape of the batch; () for one slider."""
-        return np.broadcast_shapes(*(np.shape(x) for x in (self.height, self.stiffness, self.poisson)))
+        given = self.height, self.stiffness, self.poisson, self.length, self.machine
+        return np.broadcast_shapes(*(np.shape(x) for x in given if x is not None))
+
+    @property
+    def sites(self) -> Int[Array, "..."] | None:
+        """Number of contacts of a slider that ends, N rounded where it is no whole number; None where it does not."""
+        return None if self.length is None else jnp.ceil(jnp.minimum(jnp.asarray(self.length) - 0.5, 2e9)).astype(jnp.int32)
 
     def __repr__(self) -> str:
         return in_a_line(self)
@@ -129,6 +168,10 @@ class Slider(eqx.Module):
             ("b, areal stiffness times H over the shear modulus", short(self.b)),
             ("slow decay length, 1/κ₂ in λc", short(self.slow_decay_length)),
         ]
+        if self.length is not None:
+            rows.append((f"length, in λc, its end {self.right}", short(self.length)))
+        if self.machine is not None:
+            rows.append(("stiffness of the machine, M/K", short(self.machine)))
         return html("Slider", rows)
 
     @property
@@ -216,11 +259,11 @@ class Slider(eqx.Module):
         """u/u_t in the slow mode, 1 − κ_2²/κ_T² (between 0 and 1). Erratum: as for `alpha_1`."""
         return self._excess_over_contacts / self.kappa_1**2
 
-    def contacts(self, interface: "Interface | Profile | None", sites: int, right: "RightEnd" = "semi-infinite") -> "Relaxed":
+    def contacts(self, interface: "Interface | Profile | None", sites: int) -> "Relaxed":
         """Its first contacts before loading, or all of one that ends, and what a push and a break do to them."""
         from slippulse_jax.events.first import contacts_of_slider  # above: the body says where, and loads nothing else
 
-        return contacts_of_slider(self, interface, sites, right)
+        return contacts_of_slider(self, interface, sites)
 
     def driving_stress(self, upper: Real, layer: Real) -> Array:
         """Stress σ_d = K_T(u_t − u)/λc² by which the upper layer drives the interfacial one, in σ_s; label cra07.
@@ -271,9 +314,18 @@ def broadcast(slider: Slider, *others: Any) -> list[Array]:
     return list(jnp.broadcast_arrays(*of_one_type(slider, *others)))
 
 
+def check_endless(owner: str, slider: Slider) -> None:
+    """Refuse a slider with an end or a machine, where a formula would ignore them."""
+    for name in ("length", "machine"):
+        if getattr(slider, name) is not None:
+            why = f"{owner} is of semi-infinite sliders whose edge is displaced; use precursor_length or first_precursor"
+            raise ValueError(f"Slider.{name} = {getattr(slider, name)}: {why}")
+
+
 def each_slider(function: Any, slider: Slider, *others: Any) -> Any:
     """Map ``function(slider, *others)``, written for one slider and scalars, over arrays that broadcast together.
 
     What depends on the slider alone is computed once per slider: `jnp.vectorize` maps only the axes that an argument has.
     """
+    check_endless("this formula", slider)
     return jnp.vectorize(lambda h, q, n, *rest: function(Slider(h, q, n), *rest))(*of_one_type(slider, *others))

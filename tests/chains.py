@@ -7,6 +7,12 @@ from oracles.dense_chain import DenseChain, uniform_springs
 import slippulse_jax as sp
 
 
+def ended(slider, sites=None, right="free", machine=None):
+    """The same slider with an end, or a machine."""
+    end = {} if right == "semi-infinite" else {"length": sites, "right": None if sites is None else right}
+    return sp.Slider(slider.height, slider.stiffness, slider.poisson, machine=machine, **end)
+
+
 def both_chains(slider, sites, right, fields):
     """`DenseChain` and `Chain` of the same bonds, contacts, thresholds and prestress."""
     *_, across, _, end = uniform_springs(*slider, sites, right)
@@ -14,7 +20,7 @@ def both_chains(slider, sites, right, fields):
         fields["upper"], fields["layer"], across, fields["contact"], end,
         stiffness=slider[1], threshold=fields["threshold"], prestress=fields["prestress"],
     )  # fmt: skip
-    return dense, sp.chain(sp.Slider(*slider), sites=sites, right=right, **fields)
+    return dense, sp.chain(ended(sp.Slider(*slider), sites, right), sites=sites, **fields)
 
 
 SITES = 150

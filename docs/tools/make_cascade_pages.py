@@ -155,7 +155,7 @@ def drift():
     """Tabulate the error accumulated over many breaks of one rupture."""
     rows = []
     for sites, load, most in ((300, 20.0, 10**3), (300, 2e3, 10**4), (3000, 2e5, 10**5)):
-        c = sp.chain(FIG2, sites=sites, right="free")
+        c = sp.chain(sp.Slider(25.0, 0.03, 0.3, length=sites))
         found = jax.jit(lambda s, c=c, most=most: sp.rupture(c, s, max_breaks=most))(c.relaxed(load))
         n, u = int(found.breaks), float(jnp.abs(found.after.layer).max())
         eps = np.finfo(float).eps
@@ -176,7 +176,7 @@ def pictures():
     sp.plot.displacements(event.after, before=event.before, sites=70, ax=axes[0, 0])
     sp.plot.stress(event.after, chain=c, before=event.before, sites=70, ax=axes[0, 1])
     sp.plot.front_stress(sp.sensitivity(FIG2, sites=40).stress, length=float(event.length), ax=axes[1, 0])
-    weak = sp.chain(FIG2, sites=120, right="free", threshold=1 + 0.1 * np.sin(np.arange(120)))
+    weak = sp.chain(sp.Slider(25.0, 0.03, 0.3, length=120), threshold=1 + 0.1 * np.sin(np.arange(120)))
     sp.plot.break_order(sp.rupture(weak, weak.relaxed(9.0)), ax=axes[1, 1])
     picture(figure, "rupture")
     figure, (hard, soft) = plt.subplots(1, 2, figsize=(10.5, 4), layout="constrained", sharey=True)

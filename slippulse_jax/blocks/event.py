@@ -25,7 +25,7 @@ from slippulse_jax.blocks.guide import Edge, Guide, Slab
 from slippulse_jax.blocks.pressed import under_pressure
 from slippulse_jax.bodies.response import of_matrix
 from slippulse_jax.bulk.double import in_double
-from slippulse_jax.domains import FRICTION, MACHINE, NORMAL_STIFFNESS
+from slippulse_jax.domains import FRICTION, NORMAL_STIFFNESS
 from slippulse_jax.events.first import Relaxed, ended, first_event, nucleated
 from slippulse_jax.front.front import EventKind, in_domain
 from slippulse_jax.interface import AnyInterface, Profile
@@ -102,7 +102,7 @@ def contacts_of(block: Block, interface: AnyInterface, sites: int, bare: tuple[E
     if interface is not None:
         threshold, prestress = (x.astype(threshold.dtype) for x in (interface.threshold_at(site), interface.prestress_at(site)))
     valid = in_domain(block)
-    for value, domain in ((block.normal_stiffness, NORMAL_STIFFNESS), (block.friction, FRICTION), (block.machine, MACHINE)):
+    for value, domain in ((block.normal_stiffness, NORMAL_STIFFNESS), (block.friction, FRICTION)):
         valid = valid if value is None else valid & domain.holds(value)
     found = Relaxed(response, threshold, prestress, k, last, valid, pressed=body, alike=not isinstance(interface, Profile))
     return found if block.machine is None else found.through(block.machine)

@@ -25,17 +25,19 @@ from jaxtyping import Array, Float
 from slippulse_jax.block import MOST_CONTACTS, USUAL_NORMAL_STIFFNESS, Block, ContactLaw, Control, Push, Top, checked_sites
 from slippulse_jax.blocks import event as blocks
 from slippulse_jax.blocks.event import BlockPrecursor
+from slippulse_jax.bodies.response import MOST_SITES
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
-from slippulse_jax.bulk.double import IN_DOUBLE, as_type, in_double, is_traced
-from slippulse_jax.derivatives import by_forward_mode
+from slippulse_jax.bulk.double import in_double
+from slippulse_jax.derivatives import known, under_grad_too
+from slippulse_jax.domains import check_whole
 from slippulse_jax.events import first
 from slippulse_jax.events.event import MORE_SITES
 from slippulse_jax.events.first import length_of
 from slippulse_jax.front.front import EventKind
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.rules import HARD, BreakRule, HardBreak
+from slippulse_jax.slider import Slider
 from slippulse_jax.status import NotConverged, Outcome
-from slippulse_jax.units import Numbers
 
 FEWEST_CONTACTS, FIRST_TRIAL = 64, 512
 """Smallest number of contacts resolved, and most of them in the first trial, which reaches over one height."""
@@ -56,12 +58,16 @@ ONE_BY_ONE = Layout(chunk=1, fusion_emitters=False)
 """Layout of blocks."""
 
 
+NO_SITES = "a body needs sites, the number of contacts resolved: its length is not known"
+"""Why the length of a traced body is not known."""
+
+
 class NotFollowed(ValueError):
     """An event that does not stop within what can be followed."""
 
-    def __init__(self, block: Block, why: str) -> None:
+    def __init__(self, body: Block | Slider, why: str) -> None:
         super().__init__(
-            f"the event of {block} {why}, farther than can be followed; under a prestress of half the threshold or more, "
+            f"the event of {body} {why}, farther than can be followed; under a prestress of half the threshold or more, "
             "or on falling thresholds, it may never stop"
         )
 
@@ -76,9 +82,7 @@ def _without_length(block: Block, interface: Interface | Profile | None, status:
 # --- one block ---------------------------------------------------------------------------------------------------------
 
 
-def first_precursor(
-    block: Block, interface: Interface | Profile | None, sites: Numbers | None, kind: EventKind
-) -> BlockPrecursor:
+def first_precursor(block: Block, interface: Interface | Profile | None, sites: int | None, kind: EventKind) -> BlockPrecursor:
     """Record of one block: see `slippulse_jax.first_precursor`."""
     found = in_double(_record)(block, interface, sites, kind)
     _warn_of_few_sites(block, sites, found.length)
@@ -87,84 +91,76 @@ def first_precursor(
     return dataclasses.replace(found, block=block)  # not rounded
 
 
-def _record(block: Block, interface: Interface | Profile | None, sites: Numbers | None, kind: EventKind) -> BlockPrecursor:
-    found = _resolved((block, interface), sites, partial(blocks.precursor_of, kind=kind))
+def _record(block: Block, interface: Interface | Profile | None, sites: int | None, kind: EventKind) -> BlockPrecursor:
+    found = resolved((block, interface), sites, partial(blocks.precursor_of, kind=kind))
     if isinstance(interface, Profile) or not _is_tall(block, sites):
         return found
     return dataclasses.replace(found, length=tall_length(block, interface, kind)[0])  # one number, as `precursor_length` has it
 
 
 def precursor_length(
-    block: Block, interface: Interface | Profile | None, sites: Numbers | None, rule: BreakRule, kind: EventKind
+    block: Block, interface: Interface | Profile | None, sites: int | None, rule: BreakRule, kind: EventKind
 ) -> Float[Array, ""]:
     """ℓ of one block: see `slippulse_jax.precursor_length`."""
-    given = block, interface, rule
-    if not is_traced(given) or jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
-        found = in_double(_length)(*given, sites, kind)
-        _warn_of_few_sites(block, sites, found)
-        if not isinstance(found, Tracer) and np.isnan(found):
-            tall = not isinstance(interface, Profile) and _is_tall(block, sites)  # which would have raised for any other reason
-            status = Outcome.LIFT_OFF if tall else in_double(_record)(block, interface, sites, kind).status
-            if status != Outcome.LIFT_OFF:
-                raise _without_length(block, interface, status)
-            warnings.warn(f"{block}: {Outcome.LIFT_OFF.message}", RuntimeWarning, stacklevel=3)
-        return found
-    _known(given, IN_DOUBLE)
-    numbers, others = eqx.partition(given, lambda x: isinstance(x, Tracer) and jnp.issubdtype(x.dtype, jnp.floating))
-    numbers, tree = jax.tree.flatten(numbers)
-    others = _known(others)
-
-    def one(*numbers: Array) -> Array:
-        with jax.enable_x64(True):  # in here, because JAX computes derivatives later
-            every = eqx.combine(jax.tree.unflatten(tree, numbers), others)
-            block, interface, rule = jax.tree.map(lambda x: as_type(x, np.float64), every)
-            return as_type(_length(block, interface, rule, sites, kind), np.float32)
-
-    return by_forward_mode(one)(*numbers)
+    found = under_grad_too(partial(_length, sites=sites, kind=kind))(block, interface, rule)
+    _warn_of_few_sites(block, sites, found)
+    if not isinstance(found, Tracer) and np.isnan(found):
+        tall = not isinstance(interface, Profile) and _is_tall(block, sites)  # which would have raised for any other reason
+        status = Outcome.LIFT_OFF if tall else in_double(_record)(block, interface, sites, kind).status
+        if status != Outcome.LIFT_OFF:
+            raise _without_length(block, interface, status)
+        warnings.warn(f"{block}: {Outcome.LIFT_OFF.message}", RuntimeWarning, stacklevel=4)
+    return found
 
 
 def _length(
-    block: Block, interface: Interface | Profile | None, rule: BreakRule, sites: Numbers | None, kind: EventKind
+    block: Block, interface: Interface | Profile | None, rule: BreakRule, sites: int | None, kind: EventKind
 ) -> Float[Array, ""]:
     smooth = not isinstance(rule, HardBreak)
     if not smooth and not isinstance(interface, Profile) and _is_tall(block, sites):
         return tall_length(block, interface, kind)[0]
-    found = _resolved((block, interface, rule), sites, partial(first.length, kind=kind))
+    found = resolved((block, interface, rule), sites, partial(first.length, kind=kind))
     if smooth and not isinstance(found, Tracer) and np.isnan(found):
-        begins = int(_resolved((block, interface), sites, partial(blocks.precursor_of, kind=kind)).nucleation)
+        begins = int(resolved((block, interface), sites, partial(blocks.precursor_of, kind=kind)).nucleation)
         raise ValueError(f"rule = {rule!r}: a smooth front runs from the edge, and this event begins at contact {begins}")
     return found
 
 
-def _is_tall(block: Block, sites: Numbers | None) -> bool:
+def _is_tall(block: Block, sites: int | None) -> bool:
     """Whether a length is extrapolated, on thresholds that are no profile."""
-    return sites is None and block.length is None and bool(_known(block).height > TALL)
+    return sites is None and block.length is None and bool(known(block, NO_SITES).height > TALL)
 
 
 Found = TypeVar("Found", Array, BlockPrecursor)
 
 
-def _resolved(given: tuple[Any, ...], sites: Numbers | None, event: Callable[..., Found]) -> Found:
-    """Compute an event, a record or a length, on the contacts asked for, all that there are, or enough for it to stop."""
-    block = given[0]
+def resolved(given: tuple[Any, ...], sites: int | None, event: Callable[..., Found]) -> Found:
+    """Compute an event, a record or a length, on the contacts asked for, all that there are, or enough for it to stop.
+
+    Of a block or slider, on an interface and by a rule.
+    """
     if sites is not None:
-        return event(*given, sites=checked_sites(block, sites))
-    known = _known(given)
-    if contacts := known[0].sites:
-        if contacts > MOST_CONTACTS:
-            raise ValueError(f"{block} reaches beyond {MOST_CONTACTS} contacts: take a coarser one of the same b")
-        return event(*given, sites=max(FEWEST_CONTACTS, 1 << (contacts - 1).bit_length()))
-    reach = min(int(np.ceil(known[0].height)), FIRST_TRIAL)
+        check_whole("sites", sites, 2)
+        return event(*given, sites=checked_sites(given[0], sites) if isinstance(given[0], Block) else int(sites))
+    body, most = known(given[0], NO_SITES), MOST_SITES if isinstance(given[0], Slider) else MOST_CONTACTS
+    if body.sites is not None:
+        contacts = int(body.sites)
+        if contacts > most:
+            raise ValueError(f"{body} reaches beyond {most} contacts: take a coarser one of the same b")
+        if not isinstance(body, Slider):  # of similar blocks, one program
+            contacts = max(FEWEST_CONTACTS, 1 << (contacts - 1).bit_length())
+        return event(*given, sites=contacts)
+    reach = min(int(np.ceil(body.height)), FIRST_TRIAL)
     count = max(FEWEST_CONTACTS, 1 << (reach - 1).bit_length())
-    while count <= MOST_CONTACTS:
+    while count <= most:
         found = event(*given, sites=count)
-        if not np.isposinf(_known(found.length if isinstance(found, BlockPrecursor) else found)):
+        if not np.isposinf(known(found.length if isinstance(found, BlockPrecursor) else found, NO_SITES)):
             return found
         count *= MORE_SITES
-    raise NotFollowed(block, f"reaches beyond {count // MORE_SITES} contacts")  # under a wide smooth rule for ever
+    raise NotFollowed(body, f"reaches beyond {count // MORE_SITES} contacts")  # under a wide smooth rule for ever
 
 
-def _warn_of_few_sites(block: Block, sites: Numbers | None, length: Array) -> None:
+def _warn_of_few_sites(block: Block, sites: int | None, length: Array) -> None:
     """Say that an event reached the last contact resolved of a block that goes on."""
     if sites is not None and block.length is None and not isinstance(length, Tracer) and np.isposinf(length):
         warnings.warn(
@@ -172,14 +168,6 @@ def _warn_of_few_sites(block: Block, sites: Numbers | None, length: Array) -> No
             RuntimeWarning,
             stacklevel=4,
         )
-
-
-def _known(given: Any, why: str = "a block needs sites, the number of contacts resolved: its length is not known") -> Any:
-    """Strip derivatives from a block and its interface, which leaves numbers."""
-    try:
-        return jax.tree.map(np.asarray, lax.stop_gradient(given))
-    except jax.errors.JAXTypeError:
-        raise ValueError(f"under jit and vmap {why}") from None
 
 
 # --- tall blocks, on larger contacts -----------------------------------------------------------------------------------
@@ -192,7 +180,7 @@ def tall_length(block: Block, interface: Interface | None, kind: EventKind) -> t
 
     A ValueError if the event does not stop within what can be followed.
     """
-    one = jax.tree.map(lambda x: x[None], _known((block, interface)))
+    one = jax.tree.map(lambda x: x[None], known((block, interface), NO_SITES))
     height, sites, fine, rough = _views(one, kind)[:, 0]
     if np.isposinf(fine):
         grows = np.isfinite(rough)
@@ -203,7 +191,7 @@ def tall_length(block: Block, interface: Interface | None, kind: EventKind) -> t
     if height == one[0].height:
         found = on(block, interface)
         return found, jnp.zeros_like(found)
-    pair = [on(*_coarser((block, interface), size)) for size in (height, height / 2)]
+    pair = [on(*coarser((block, interface), size)) for size in (height, height / 2)]
     return extrapolated(pair[0], pair[1], height, block.height, _b(block))
 
 
@@ -247,7 +235,7 @@ def _alike(fine: Any, rough: Any) -> Any:
     return abs(fine - rough) <= ALIKE * fine
 
 
-def _coarser(body: Body, height: Any) -> Body:
+def coarser(body: Body, height: Any) -> Body:
     """One block, or many, on larger contacts of the same areal stiffness, at H/λc = `height`."""
     block, interface = body
     larger = block.height / height
@@ -278,14 +266,14 @@ def _views(body: Body, kind: EventKind) -> Float[np.ndarray, "4 n"]:
     # an event that runs away on the largest contacts does so on smaller ones; falling thresholds reach zero before the last
     driven = np.flatnonzero(endless & ~falling)
     found[0, driven] = np.minimum(tall[driven], FOLLOWED / MOST_HEIGHTS)
-    status = _events(_coarser(_some(body, driven), found[0, driven]), FOLLOWED, kind)[2]
+    status = _events(coarser(_some(body, driven), found[0, driven]), FOLLOWED, kind)[2]
     left = np.setdiff1d(left, driven[status == Outcome.RAN_THROUGH])
     for sites in (FOLLOWED, FARTHER):
         height, fine, bounded = _fitting(_some(body, left), sites, kind)
         found[:, left] = height, np.full_like(height, sites), fine, fine
         larger = (height != tall[left]) & np.isfinite(fine)
         left, bounded = left[larger], bounded[larger]
-        found[3, left] = _events(_coarser(_some(body, left), found[0, left] / 2), sites, kind)[0]
+        found[3, left] = _events(coarser(_some(body, left), found[0, left] / 2), sites, kind)[0]
         differ = ~_alike(found[2, left], 2 * found[3, left]) & lasting[left]
         left, bounded = left[differ], bounded[differ]
     found[2, left[bounded & endless[left]]] = np.inf
@@ -304,7 +292,7 @@ def _fitting(body: Body, sites: int, kind: EventKind) -> tuple[np.ndarray, np.nd
     left = np.arange(tall.size)
     while left.size:
         at = height[left]
-        length[left], broken, status = _events(_coarser(_some(body, left), at), sites, kind)
+        length[left], broken, status = _events(coarser(_some(body, left), at), sites, kind)
         through = status == Outcome.RAN_THROUGH
         most[left] = np.where(through, at / 1.5, most[left])
         factor = np.clip(1.5 * ENOUGH * finer / np.maximum(broken, 1), 1.5, 16.0)

@@ -8,19 +8,19 @@ the equivalent of an endless uniform interface, which makes the end exactly abso
 
 from collections.abc import Callable
 from types import NoneType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.core import Tracer
 from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
-from slippulse_jax.bodies.modes import RightEnd
-from slippulse_jax.domains import check_choice, check_domain, check_kind, check_single, check_whole
+from slippulse_jax.domains import check_domain, check_kind, check_single, check_whole
 from slippulse_jax.interface import AnyInterface, Interface, Profile
 from slippulse_jax.slider import Slider
 from slippulse_jax.units import as_float, at_least_single, quantity_field
@@ -98,9 +98,8 @@ class Chain(eqx.Module):
 def chain(
     slider: Slider,
     *,
-    sites: int,
+    sites: int | None = None,
     interface: Interface | Profile | None = None,
-    right: RightEnd = "semi-infinite",
     contact: AnyArrayLike | None = None,
     threshold: AnyArrayLike | None = None,
     prestress: AnyArrayLike | None = None,
@@ -113,14 +112,12 @@ def chain(
     Parameters
     ----------
     slider : Slider
-        One slider (fields of shape ()); use ``jax.vmap`` for a batch.
-    sites : int
-        N ≥ 2.
+        One slider (fields of shape ()); use ``jax.vmap`` for a batch. Beyond its last site the chain continues without end,
+        uniform, relaxed and unbroken, stops (free), or is tied to a wall one bond further (clamped), as its right end says.
+    sites : int, optional
+        N ≥ 2; by default that of a slider that ends, in which all are resolved.
     interface : Interface or Profile, optional
         Thresholds and prestress of the contacts; uniform and relaxed by default.
-    right : {"semi-infinite", "free", "clamped"}
-        Beyond its last site the chain continues without end, uniform, relaxed and unbroken (semi-infinite), stops (free),
-        or is tied to a wall one bond further (clamped).
     contact : array_like, shape () or (N,), optional
         k_i/K; 0 for a detached contact. The slider's k/K by default.
     threshold : array_like, shape () or (N,), optional
@@ -141,11 +138,10 @@ def chain(
     ValueError
         If a value lies outside its domain or a shape does not fit (the message names both; traced values are not checked).
     """
-    check_choice("right", right, RightEnd)
     check_kind("slider", slider, Slider)
     check_kind("interface", interface, Interface, Profile, NoneType)
     check_single("chain", slider=slider, interface=interface)
-    check_whole("sites", sites, 2)
+    sites = _sites_of(slider, sites)
     slider = jax.tree.map(at_least_single, slider)
     of_interface = _of_interface(interface, sites)
     threshold = of_interface[0] if threshold is None else threshold
@@ -178,9 +174,24 @@ def chain(
         prestress=per_site("prestress", prestress, sites, "finite, in σ_s", np.isfinite),
         stiffness=q,
         height=jnp.asarray(slider.height),
-        end=ends[right](),
+        end=ends[slider.right](),
         law=law if law is None or isinstance(law, eqx.Module | Partial) else Partial(law),  # pyright: ignore[reportArgumentType]
     )
+
+
+def _sites_of(slider: Slider, sites: int | None) -> int:
+    """Number of sites of a chain: all of a slider that ends, and no machine at its edge."""
+    if slider.machine is not None:
+        raise ValueError(
+            f"Slider.machine = {slider.machine}: the edge of a chain is displaced; pull it through Spring(…) in a series"
+        )
+    if slider.length is not None and not isinstance(slider.length, Tracer):
+        length = float(slider.length)
+        if sites not in (None, length) or not length.is_integer():
+            raise ValueError(f"sites = {sites}: must be Slider.length = {length:g}, a whole number, of a slider that ends")
+        return int(length)
+    check_whole("sites", sites, 2)
+    return cast(int, sites)
 
 
 def check_linear(chain: Chain, owner: str) -> None:

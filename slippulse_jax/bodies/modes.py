@@ -22,42 +22,19 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
-from jax.core import Tracer
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.choices import RightEnd
-from slippulse_jax.domains import MACHINE, check_choice
 from slippulse_jax.slider import Slider, of_one_type
-from slippulse_jax.units import Numbers, as_float
 
 Number = Float[Array, "..."]
 Pair = tuple[Number, Number]
 
 
-class Ends(eqx.Module):
-    """The two ends of a chain: its surroundings beyond the last site, and the drive at its edge.
-
-    The numbers may be traced, and broadcast with the slider's.
-    """
-
-    right: RightEnd = eqx.field(static=True, default="semi-infinite")
-    sites: Any = None  # N of a finite chain, a real number
-    machine: Any = None  # M/K, stiffness of the drive; None for an imposed displacement
-
-    @property
-    def contacts(self) -> Int[Array, "..."] | None:
-        """Contacts of a finite chain: N, rounded where it is no whole number."""
-        return None if self.sites is None else jnp.ceil(jnp.minimum(jnp.asarray(self.sites) - 0.5, 2e9)).astype(jnp.int32)
-
-
-ENDLESS = Ends()
-"""Semi-infinite, pushed by an imposed displacement."""
-
-NO_END = 1e30
-"""N and M/K that stand for no end and no machine: finite, so that derivatives are."""
+FARTHEST = 1e30
+"""N from which on no digit tells a chain from one without end: finite, so that derivatives are."""
 
 
 class Modes(eqx.Module):
@@ -95,13 +72,13 @@ class Modes(eqx.Module):
         return self.echo_factor(site) * jnp.exp(site * jnp.log1p(-self.gap))
 
 
-def lattice_modes(slider: Slider, ends: Ends = ENDLESS) -> Modes:
-    """Modes of the chain of one slider (fields of shape ()); endless, its edge displaced, unless `ends` says otherwise."""
-    given = [x for x in (ends.sites, ends.machine) if x is not None]
-    height, stiffness, poisson, *given = of_one_type(slider, *given)
-    machine = None if ends.machine is None else given.pop()
-    end = None if ends.sites is None else (ends.right, given.pop())
-    numbers = mode_numbers(height, stiffness, poisson, end, machine)
+def lattice_modes(slider: Slider) -> Modes:
+    """Modes of the chain of one slider (fields of shape ())."""
+    given = {name: getattr(slider, name) for name in ("length", "machine") if getattr(slider, name) is not None}
+    height, stiffness, poisson, *more = of_one_type(slider, *given.values())
+    more = dict(zip(given, more, strict=True))
+    end = (slider.right, more["length"]) if "length" in more else None
+    numbers = mode_numbers(height, stiffness, poisson, end, more.get("machine"))
     return Modes(**{name: jnp.array(x) for name, x in numbers.items()})
 
 
@@ -153,7 +130,7 @@ def mode_numbers(
     if end is not None:
         # e_m(0) = 1 + η_m r_m^{2(N−1)}, and the slope (1 − r_m)(1/r_m − η_m r_m^{2(N−1)}): no difference of near equals where a
         # soft chain is stiffer than its contacts, 1 − r_2^{2N} ≪ 1
-        right, sites = end
+        right, sites = end[0], jnp.minimum(end[1], FARTHEST)
         from_end = 2 * sites * jnp.log1p(-g1), 2 * sites * jnp.log1p(-g2)  # ln r_m^{2N}
         lost, back = [-jnp.expm1(x) for x in from_end], [jnp.exp(x) for x in from_end]
         if right == "free":
@@ -244,27 +221,3 @@ def equilibrium_fields(
     in_mode = jax.vmap(lambda direct, at_site: modes.weight * direct + at_site * amplitude)(endless, y)
     carried = jnp.zeros_like(pinning) if prestress is None else prestress
     return ChainFields(in_mode @ modes.upper, in_mode.sum(axis=1), pinning, carried)
-
-
-def ends_of(right: RightEnd, sites: Any = None, machine: Any = None) -> Ends:
-    """Check the ends of a chain and put them together.
-
-    Beyond its last site, of N ≥ 2, it continues without end, is free, or is tied to a wall one bond further ("clamped"). The
-    machine, M/K > 0, is the stiffness of the drive; inf, like None, for an imposed displacement.
-    """
-    check_right_end(right, sites)
-    if machine is not None and not isinstance(machine, Tracer):
-        known = as_float("machine", machine)
-        MACHINE.check("machine", np.where(known == np.inf, 1, known))
-    given = {"sites": sites, "machine": machine}
-    return Ends(right, *(x if isinstance(x, Tracer | Array | None) else as_float(name, x) for name, x in given.items()))
-
-
-def check_right_end(right: RightEnd, sites: Numbers | None) -> None:
-    """Refuse an unknown right end, or a number of sites that does not go with it; traced numbers are not checked."""
-    check_choice("right", right, RightEnd)
-    if right == "semi-infinite":
-        if sites is not None:
-            raise ValueError(f"sites = {sites}: a semi-infinite chain has no number of sites; choose right='free' or 'clamped'")
-    elif sites is None or not (isinstance(sites, Tracer) or np.all(np.isfinite(x := as_float("sites", sites)) & (x >= 2))):
-        raise ValueError(f"sites = {sites}: a chain with a {right} right end needs a number of sites, at least 2")

@@ -81,17 +81,17 @@ def command(
     poisson, block_length_mm, machine, push_height, push_width = (given.pop(name) for name in beside)
     si = "height_mm", "correlation_length_um", "areal_stiffness", "young_gpa"
     form = one_form(given, "slider", ("height", "stiffness"), si)
-    if push_height is None and block_length_mm is not None and right == "semi-infinite":
-        right = "free"
     length = sites if block_length_mm is None else _in_sites(block_length_mm, sites, given["correlation_length_um"])
     with jax.enable_x64(True):
         from slippulse_jax.slider import Slider
 
         try:
             slider = (Slider if "height" in form and "stiffness" in form else Slider.from_material)(**form, poisson=poisson)
+            numbers = slider.height, slider.stiffness, slider.poisson
             asked = {"height": float(slider.height), "stiffness": float(slider.stiffness), "poisson": poisson}
             if push_height is None:
-                result, text = asked | _of_slider(slider, right, length, machine), _text
+                end: Any = None if right == "semi-infinite" else right
+                result, text = asked | _of_slider(Slider(*numbers, length=length, right=end, machine=machine)), _text
             else:
                 push = {"push_height": push_height, "push_width": push_width, "push_control": push_control or "displacement"}
                 pressed |= {"length": None if length is None else round(length), "machine": machine}
@@ -145,26 +145,26 @@ def _in_sites(block_length_mm: float, sites: int | None, correlation_length_um: 
     return block_length_mm / (correlation_length_um * 1e-3)
 
 
-def _of_slider(slider: "Slider", right: Any, sites: float | None, machine: float | None) -> dict[str, Any]:
+def _of_slider(slider: "Slider") -> dict[str, Any]:
     import jax
 
-    from slippulse_jax.bodies.modes import ends_of, lattice_modes
+    from slippulse_jax.bodies.modes import lattice_modes
     from slippulse_jax.front.arrest import arrest
     from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS
     from slippulse_jax.status import NotConverged, Outcome
 
     ended, load = jax.jit(  # one program: op by op JAX would compile sixty
-        lambda slider, ends: (arrest(slider, None, ends), lattice_modes(slider, ends).load)
-    )(slider, ends_of(right, sites, machine))
+        lambda slider: (arrest(slider), lattice_modes(slider).load)
+    )(slider)
     status = Outcome(int(ended.status))
     if status is Outcome.LIMIT:
         raise NotConverged(f"{status.message}; max_contacts = {DEFAULT_MAX_CONTACTS}")
     if status is Outcome.INVALID:
         refuse(status.message)
     return {
-        "right": right,
-        "sites": sites,
-        "machine": machine,
+        "right": slider.right,
+        "sites": None if slider.length is None else float(slider.length),
+        "machine": None if slider.machine is None else float(slider.machine),
         "length": float(ended.length),
         "contacts_broken": int(ended.contacts_broken),
         "load": float(load),

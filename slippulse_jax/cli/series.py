@@ -2,7 +2,7 @@
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -82,7 +82,8 @@ def command(
         try:
             protocol = Steps(step) if step is not None else Spring(spring) if spring is not None else Adiabatic()
             ageing = None if newborn is None or recovery is None else Ageing(newborn, recovery)
-            one = chain(Slider(height, stiffness, poisson), sites=sites, right=right)  # pyright: ignore[reportArgumentType]
+            end: dict[str, Any] = {} if right == "semi-infinite" else {"length": sites, "right": right}
+            one = chain(Slider(height, stiffness, poisson, **end), sites=sites)
             run = partial(series, one, protocol, events=events, ageing=ageing, repin_delay=repin_delay)
             room = BREAKS_AN_EVENT * events if figure else 0
             found = run(recorded_breaks=room)
@@ -92,15 +93,15 @@ def command(
         except ValueError as error:
             refuse(error)
         status = Outcome(int(found.status))
-        events = with_units(found.to_dataframe()).to_csv(na_rep="nan", lineterminator="\n")
+        rows = with_units(found.to_dataframe()).to_csv(na_rep="nan", lineterminator="\n")
         if out is not None:
-            write_atomically(out, events.encode())
+            write_atomically(out, rows.encode())
         if figure is not None:
             _draw(found, figure)
         if as_json:
             print_json({"status": status.name.lower(), **found.table()})
         elif out is None:
-            click.echo(events, nl=False)
+            click.echo(rows, nl=False)
     click.echo(status.message, err=True)
     if status == Outcome.LIMIT:
         click.get_current_context().exit(NOT_CONVERGED)

@@ -1,6 +1,6 @@
 """Catalogue of the events of a series."""
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -77,7 +77,7 @@ class Catalogue(NamedTuple):
     def _repr_html_(self) -> str:
         if np.ndim(self.number):
             return html(repr(self), [])
-        frame = self.to_dataframe()[["load", "kind", "site", "length", "breaks", "slip", "stress_drop"]]
+        frame: Any = self.to_dataframe()[["load", "kind", "site", "length", "breaks", "slip", "stress_drop"]]
         rows = [
             [str(event), *(x if isinstance(x, str) else f"{x:g}" for x in row)]
             for event, row in zip(frame.index, frame.itertuples(index=False), strict=True)

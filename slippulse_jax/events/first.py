@@ -4,6 +4,7 @@ A body answers ``contacts(interface, sites)`` with its first contacts before loa
 those at a fixed order of breaks.
 """
 
+import dataclasses
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -14,11 +15,11 @@ from jaxtyping import Array, Bool, Float, Int
 
 from slippulse_jax.bodies.chain import Chain, Springs, chain, eliminate, floats
 from slippulse_jax.bodies.equilibrium import all_numbers
-from slippulse_jax.bodies.modes import RightEnd
+from slippulse_jax.bodies.modes import FARTHEST
 from slippulse_jax.bodies.response import Response, of_chain
 from slippulse_jax.derivatives import by_forward_mode, with_gradient, with_jacobian
 from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, Event, event, overload, rises
-from slippulse_jax.front.front import FADED, EventKind, Front, first_of, follow, length_or_reason
+from slippulse_jax.front.front import FADED, EventKind, Front, first_of, follow, in_domain, length_or_reason
 from slippulse_jax.interface import AnyInterface
 from slippulse_jax.rules import HARD, BreakRule, HardBreak
 from slippulse_jax.slider import Slider
@@ -74,9 +75,12 @@ def contacts_of_chain(body: Chain, beyond: Springs | None = None, response: Resp
     )
 
 
-def contacts_of_slider(slider: Slider, interface: AnyInterface, sites: int, right: RightEnd = "semi-infinite") -> Relaxed:
+def contacts_of_slider(slider: Slider, interface: AnyInterface, sites: int) -> Relaxed:
     """The first contacts of a slider, or all of one that ends."""
-    return contacts_of_chain(chain(slider, sites=sites, interface=interface, right=right))
+    found = contacts_of_chain(chain(dataclasses.replace(slider, machine=None), sites=sites, interface=interface))
+    valid = found.valid if slider.sites is None else found.valid & (slider.sites == sites)
+    found = found._replace(valid=valid & in_domain(slider))
+    return found if slider.machine is None else found.through(jnp.minimum(slider.machine, FARTHEST))
 
 
 def alike(chain: Chain, pinning: Array) -> Array:

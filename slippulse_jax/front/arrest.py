@@ -11,7 +11,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
-from slippulse_jax.bodies.modes import ENDLESS, Ends, lattice_modes
+from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.derivatives import by_forward_mode
 from slippulse_jax.domains import check_whole
 from slippulse_jax.front import front
@@ -29,15 +29,14 @@ class FrontNotArrested(NotConverged):
 def arrest(
     slider: Slider,
     interface: AnyInterface = None,
-    ends: Ends = ENDLESS,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
     rule: BreakRule = HARD,
 ) -> Arrest:
     """Length, count, status and edge stress of the first precursor of one slider; differentiable forward."""
-    modes = lattice_modes(slider, ends)
+    modes = lattice_modes(slider)
     over = front.passage(modes, interface, rule)
     # where a front counts as one that never stops, or is given up; and how many contacts there are
-    end, contacts = front.never_stops_after(modes, interface, rule), ends.contacts
+    end, contacts = front.never_stops_after(modes, interface, rule), slider.sites
     limit = jnp.minimum(jnp.minimum(end, 2.0e9).astype(jnp.int32), max_contacts)
     before_last = limit if contacts is None else jnp.minimum(limit, contacts - 1)
     at, (stress, threshold), part, length = front.follow(rule, *over, before_last, front.degree_of(interface))
@@ -48,8 +47,6 @@ def arrest(
         through = last & (part > 0.5)
         at = jax.tree.map(lambda new, old: jnp.where(through, new, old), over[2](at, part, stress), at)
     numbers = [x.in_domain() for x in (interface, rule) if x is not None]
-    if ends.machine is not None:
-        numbers.append(jnp.asarray(ends.machine) > 0)
     status = front.outcome(
         at.position,
         (part > front.FADED) & ~last,
@@ -62,20 +59,18 @@ def arrest(
 
 
 @partial(jax.jit, static_argnames=("name", "max_contacts"))
-def quantity(
-    name: str, slider: Slider, interface: AnyInterface, ends: Ends, max_contacts: int, rule: BreakRule = HARD
-) -> Array:
+def quantity(name: str, slider: Slider, interface: AnyInterface, max_contacts: int, rule: BreakRule = HARD) -> Array:
     """One number of the `arrest` of every slider of a batch, or of one slider on a profile.
 
     The length has derivatives of every order in every mode; the other numbers have none.
     """
-    kind = jax.tree.structure((slider, interface, ends, rule))
+    kind = jax.tree.structure((slider, interface, rule))
 
     def one(*numbers: Array) -> Array:
-        slider, interface, ends, rule = jax.tree.unflatten(kind, numbers)
-        return getattr(arrest(slider, interface, ends, max_contacts, rule), name)
+        slider, interface, rule = jax.tree.unflatten(kind, numbers)
+        return getattr(arrest(slider, interface, max_contacts, rule), name)
 
-    numbers = of_one_type(slider, *jax.tree.leaves((interface, ends, rule)))
+    numbers = of_one_type(slider, *jax.tree.leaves((slider, interface, rule))[3:])
     if name == "length":
         one = by_forward_mode(one)
     else:

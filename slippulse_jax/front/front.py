@@ -51,10 +51,10 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.block import Block
-from slippulse_jax.bodies.modes import ENDLESS, Ends, Modes, equilibrium_fields, inverse, lattice_modes
+from slippulse_jax.bodies.modes import Modes, equilibrium_fields, inverse, lattice_modes
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.choices import EventKind
-from slippulse_jax.domains import HEIGHT, POISSON, STIFFNESS, check_choice
+from slippulse_jax.domains import HEIGHT, MACHINE, POISSON, SITES, STIFFNESS, check_choice
 from slippulse_jax.interface import AnyInterface, Interface, Profile
 from slippulse_jax.rules import HARD, BreakRule, HardBreak
 from slippulse_jax.slider import Slider
@@ -90,15 +90,14 @@ def check_event(event: str) -> None:
 class LengthDerivatives(NamedTuple):
     """Lengths of a batch, and their derivatives in the places of the numbers of the arguments, as of ``jax.grad``.
 
-    ``slider.stiffness`` is dℓ/d(k/K), ``interface.prestress`` dℓ/dφ, ``ends.sites`` dℓ/dN. All are NumPy float64 of the shape
-    of the batch, in λc per unit of the parameter: NaN where the length is not finite, and 0 where no domino starts.
+    ``slider.stiffness`` is dℓ/d(k/K), ``slider.length`` dℓ/dN, ``interface.prestress`` dℓ/dφ. All are NumPy float64 of the
+    shape of the batch, in λc per unit of the parameter: NaN where the length is not finite, and 0 where no domino starts.
     """
 
     length: np.ndarray  # ℓ or ℓ*
     slider: Slider
     interface: Interface | None = None
     rule: BreakRule | None = None
-    ends: Ends | None = None
     hessian: np.ndarray | None = None  # (..., n, n), in the order of the numbers of slider and interface
 
 
@@ -365,7 +364,10 @@ def passage(
 def in_domain(body: Slider | Block) -> Array:
     """Whether the values, traced ones included, are those of a slider or block."""
     height, stiffness, poisson = (jnp.asarray(x) for x in (body.height, body.stiffness, body.poisson))
-    return HEIGHT.holds(height) & STIFFNESS.holds(stiffness) & POISSON.holds(poisson)
+    valid = HEIGHT.holds(height) & STIFFNESS.holds(stiffness) & POISSON.holds(poisson)
+    for number, domain in ((body.machine, MACHINE), (body.length, SITES)):
+        valid = valid if number is None else valid & ((jnp.asarray(number) == jnp.inf) | domain.holds(jnp.asarray(number)))
+    return valid
 
 
 # --- past the arrest ---------------------------------------------------------------------------------------------------
@@ -411,7 +413,7 @@ def swept_length(rule: BreakRule, stress: Float[Array, " n"], threshold: Float[A
 
 
 @in_full
-def readings(slider: Slider, prestress: Array, position: Array, count: int, ends: Ends = ENDLESS) -> tuple[Array, Array]:
+def readings(slider: Slider, prestress: Array, position: Array, count: int) -> tuple[Array, Array]:
     r"""Slip, in u_s, and contact stress, in σ_s, at the first `count` contacts after a front that stopped at `position`.
 
     How far the interfacial layer moved while the front ran, and what each contact carries (label cra06). When the contacts
@@ -423,7 +425,7 @@ def readings(slider: Slider, prestress: Array, position: Array, count: int, ends
     `position` is at most `count`; of the last contact a part f may be broken, f²(3 − 2f) of it, so that fields change smoothly
     from one whole number to the next. Contact i lies at x = i λc; beyond a free end the fields have no meaning.
     """
-    modes, site = lattice_modes(slider, ends), jnp.arange(count, dtype=position.dtype)
+    modes, site = lattice_modes(slider), jnp.arange(count, dtype=position.dtype)
     part = jnp.clip(position - site, 0, 1)
     broken = part**2 * (3 - 2 * part)
     loaded = jnp.ones_like(modes.load)  # contact 0 carries its threshold

@@ -66,7 +66,7 @@ def lengths(height: np.ndarray, stiffness: np.ndarray) -> Table:
         "envelope": theory.envelope_length(slider),
     }
     for right in ("free", "clamped"):
-        table[f"{right}_L{SITES}"] = _contacts(precursor_lengths(slider, right=right, sites=SITES))
+        table[f"{right}_L{SITES}"] = _contacts(precursor_lengths(Slider(height, stiffness, POISSON, length=SITES, right=right)))
     return {"height": height, "stiffness": stiffness} | {k: np.asarray(v) for k, v in table.items()}
 
 

@@ -12,9 +12,9 @@ from jaxtyping import Array
 from slippulse_jax import lengths as bulk
 from slippulse_jax import theory
 from slippulse_jax.blocks import size
-from slippulse_jax.bodies.modes import Ends, RightEnd, lattice_modes
+from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
-from slippulse_jax.choices import did_you_mean
+from slippulse_jax.choices import RightEnd, did_you_mean
 from slippulse_jax.exact.bulk import ARREST_OUTCOMES, exact_arrests
 from slippulse_jax.front.front import FRONT_OUTCOMES
 from slippulse_jax.interface import Interface
@@ -33,10 +33,10 @@ def _in_bulk(function: Callable[..., Any]) -> Compute:
     """Evaluate a function of sliders and interface."""
 
     def evaluated(request: Request, columns: Columns) -> Columns:
-        options: dict[str, Any] = {"ends": Ends(request.right, request.sites), "max_contacts": request.max_contacts}
+        options: dict[str, Any] = {"max_contacts": request.max_contacts}
         if INTERFACE.keys() & columns.keys():
             options["interface"] = Interface(*_fields(columns, *INTERFACE))
-        return function(Slider(*_fields(columns, *SLIDER)), **options)
+        return function(Slider(*_fields(columns, *SLIDER), length=request.sites, right=request.right), **options)
 
     return evaluated
 
@@ -62,8 +62,12 @@ def _front(slider: Slider, **options: Any) -> Columns:
 @_in_bulk
 def _gradients(slider: Slider, **options: Any) -> Columns:
     found = bulk.lengths(slider, derivatives=1, **options)
-    slopes = vars(found.slider) | ({} if found.interface is None else vars(found.interface))
-    return {f"dlength_d{name}": slope for name, slope in slopes.items()}
+    return {
+        f"dlength_d{name}": getattr(owner, name)
+        for owner, names in ((found.slider, SLIDER), (found.interface, INTERFACE))
+        if owner is not None
+        for name in names
+    }
 
 
 def _exact(_: Request, columns: Columns) -> Columns:
@@ -89,12 +93,12 @@ def _block(request: Request, columns: Columns) -> np.ndarray:
     return size.lengths(block, Interface(prestress, slope), "full")
 
 
-def _formula(formula: Callable[[Slider, Array, Ends], Any]) -> Compute:
+def _formula(formula: Callable[[Slider, Array], Any]) -> Compute:
     """Evaluate a formula, whose bits do not depend on the other outputs."""
 
     @functools.cache
     def kernel(right: RightEnd, sites: int | None) -> Kernel:
-        return lambda lanes: (formula(Slider(*lanes[:3]), lanes[3], Ends(right, sites)),)
+        return lambda lanes: (formula(Slider(*lanes[:3], length=sites, right=right), lanes[3]),)
 
     def evaluated(request: Request, columns: Columns) -> np.ndarray:
         lanes = _fields(columns, *SLIDER, "prestress")
@@ -104,15 +108,16 @@ def _formula(formula: Callable[[Slider, Array, Ends], Any]) -> Compute:
 
 
 def _of_slider(formula: Callable[[Slider], Any]) -> Compute:
-    return _formula(lambda slider, *_: formula(slider))
+    return _formula(lambda slider, _: formula(slider))
 
 
-def _load(slider: Slider, prestress: Array, ends: Ends) -> Array:
+def _load(slider: Slider, prestress: Array) -> Array:
     # from its prestress to its threshold, which for contact 0 is 1 whatever the gradient of thresholds
-    return (1 - prestress) * jax.vmap(lambda one: lattice_modes(one, ends).load)(slider)
+    numbers, end = (slider.height, slider.stiffness, slider.poisson), {"length": slider.length, "right": slider.right}
+    return (1 - prestress) * jax.vmap(lambda *one: lattice_modes(Slider(*one, **end)).load)(*numbers)
 
 
-def _macroscopic(slider: Slider, prestress: Array, _: Ends) -> Any:
+def _macroscopic(slider: Slider, prestress: Array) -> Any:
     return slider.height * theory.macroscopic_length(slider.b, slider.poisson, prestress=prestress)
 
 

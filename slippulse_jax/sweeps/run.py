@@ -14,12 +14,13 @@ from numpy.typing import ArrayLike
 from tqdm.auto import tqdm
 
 from slippulse_jax.block import ContactLaw, Control, Top
-from slippulse_jax.bodies.modes import RightEnd, check_right_end
 from slippulse_jax.bulk.chunks import in_this_thread
+from slippulse_jax.choices import RightEnd
 from slippulse_jax.files import shortened
 from slippulse_jax.front.arrest import check_max_contacts
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS
 from slippulse_jax.interface import Interface
+from slippulse_jax.slider import Slider
 from slippulse_jax.sweeps.dataset import labelled, processor
 from slippulse_jax.sweeps.outputs import OUTPUTS, choose, evaluate
 from slippulse_jax.sweeps.request import PARAMETERS, Columns, Region, Request, chunk_shape, make_axes, regions, shape_of
@@ -151,7 +152,7 @@ def sweep(
             return sweep(**every)
     given = {name: value for name, value in every.items() if name in PARAMETERS}
     axes = make_axes(given, interface, points=points, push_control=push_control, contact_law=contact_law, top=top)
-    check_right_end(right, sites)
+    right = Slider(2, 1, 0, length=sites, right=None if right == "semi-infinite" else right).right  # which checks it
     check_max_contacts(max_contacts)
     request = Request(axes, choose(outputs, map(str, axes.coords)), right, sites, max_contacts, push_control, contact_law, top)
     _check_options(request, store, chunk, share, client, lazy)

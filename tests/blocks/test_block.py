@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from chains import ended
 from oracles.dense_chain import crossing
 from oracles.finite_elements import WholeBlock, break_all, events_of, rectangle
 from scipy.optimize import brentq
@@ -16,7 +17,7 @@ import slippulse_jax as sp
 from slippulse_jax.blocks import elements, size
 from slippulse_jax.blocks import event as blocks
 from slippulse_jax.blocks import guide as waveguide
-from slippulse_jax.bodies.modes import ends_of, lattice_modes
+from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.events import series
 from slippulse_jax.events.first import Relaxed, first_event, length_of, smooth_length
 from slippulse_jax.events.series import Adiabatic, Loading, Spring, Steps, of_contacts
@@ -242,7 +243,7 @@ def test_derivative_in_the_normal_stiffness():
 def test_a_free_end_of_the_slider(contacts):
     """Against its modes, which a mirror reflects."""
     slider = sp.Slider(10.0, 0.03, 0.3)
-    modes = lattice_modes(slider, ends_of("free", float(contacts)))
+    modes = lattice_modes(ended(slider, float(contacts)))
     driven = jax.vmap(modes.profile)(jnp.arange(float(contacts))) @ modes.drive / modes.load
     found = waveguide.response(slider_guide(slider, jnp.int32(contacts)), slider.stiffness, 64)
     np.testing.assert_allclose(found.push[0][:contacts], driven, rtol=0, atol=1e-14)
@@ -697,10 +698,6 @@ def test_fields_in_the_block_are_those_the_contacts_read():
             r"sites = 64: a block of 80 contacts needs",
         ),
         (lambda: sp.precursor_length(sp.Block(5.0, 0.1, 0.3, length=9000)), r"reaches beyond 8192 contacts"),
-        (
-            lambda: sp.precursor_length(sp.Block(5.0, 0.1, 0.3), right="free"),
-            r"right = 'free'.*which has its own: Block\(…, length",
-        ),
         (lambda: sp.Block(5.0, 0.1, 0.5, plane="strain"), r"Block.poisson = 0.5: an incompressible block"),
         (
             lambda: sp.Block.from_material(**MATERIAL | {"young": 0}, push_height=5e-3),
@@ -717,7 +714,7 @@ def test_fields_in_the_block_are_those_the_contacts_read():
             r"rule = SmoothBreak.*begins at",
             marks=pytest.mark.ci,
         ),
-        (lambda: jax.jit(sp.precursor_length)(sp.Block(5.0, 0.1, 0.3)), r"under jit and vmap a block needs sites"),
+        (lambda: jax.jit(sp.precursor_length)(sp.Block(5.0, 0.1, 0.3)), r"under jit and vmap a body needs sites"),
         (lambda: sp.Block(5.0, 0.1, 0.3, sp.Push(0)), r"Push.height = 0: must lie in \(0, 1\)"),
         (
             lambda: sp.precursor_length(sp.Block(5.0, 0.1, 0.3), rule=sp.SmoothBreak(0.01), event="full"),
@@ -793,7 +790,7 @@ def test_a_machine_on_the_slider_as_a_waveguide(machine):
     body = Relaxed(held.through(machine, k), one, 0 * one, k, 95, alike=True)
     length, _, status = length_of(body, "domino")
     assert status == Outcome.ARRESTED
-    assert float(length) == pytest.approx(float(sp.precursor_length(slider, machine=machine)), rel=1e-10)
+    assert float(length) == pytest.approx(float(sp.precursor_length(ended(slider, machine=machine))), rel=1e-10)
 
 
 @pytest.mark.ci
@@ -974,13 +971,12 @@ def test_the_whole_event_of_a_slider_where_it_cannot_be():
     slider = sp.Slider(50.0, 0.1, 0.3)
     with pytest.raises(ValueError, match=r"sp\.rupture\(sp\.chain\(slider"):
         sp.first_precursor(slider, event="full")
-    for traced in (jax.jit, jax.grad):
-        with pytest.raises(ValueError, match=r"is not traced\. .* precursor_lengths\(.*rupture"):
-            traced(functools.partial(sp.precursor_length, event="full"))(slider)
-    with pytest.raises(ValueError, match="not on a Profile"):
-        sp.precursor_length(slider, sp.Profile(np.ones(5)), event="full")
-    with pytest.raises(ValueError, match="needs the hard rule"):
+    with pytest.raises(ValueError, match="under jit and vmap a body needs sites"):
+        jax.jit(functools.partial(sp.precursor_length, event="full"))(slider)
+    with pytest.raises(ValueError, match="event = 'full': under a smooth rule"):
         sp.precursor_length(slider, rule=sp.SmoothBreak(0.01), event="full")
+    with pytest.raises(ValueError, match="sites = 60: the front of a slider needs none"):
+        sp.precursor_length(slider, sites=60)
 
 
 # --- precision ----------------------------------------------------------------------------------------------------------

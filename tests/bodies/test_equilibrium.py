@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from chains import batch, both_chains
+from chains import batch, both_chains, ended
 from jax.tree_util import Partial
 from oracles.dense_chain import end_stiffness, stiffness_matrix, uniform_springs
 from scipy.optimize import fsolve, root
@@ -12,7 +12,7 @@ from scipy.optimize import fsolve, root
 import slippulse_jax as sp
 from slippulse_jax.bodies.chain import Chain, Springs, State, chain, eliminate, endless, potential_energy, respond
 from slippulse_jax.bodies.equilibrium import equilibrium, forces, imbalance
-from slippulse_jax.bodies.modes import Ends, lattice_modes
+from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.status import Outcome
 
 ENDS = ("semi-infinite", "free", "clamped")
@@ -106,10 +106,9 @@ def test_chain_pulled_through_a_spring(right):
 @pytest.mark.ci
 @pytest.mark.parametrize("right", ENDS)
 def test_uniform_chain_against_its_lattice_modes(right):
-    sites = None if right == "semi-infinite" else 100
-    modes = lattice_modes(FIG2, Ends(right, sites))
+    modes = lattice_modes(ended(FIG2, 100, right))
     exact = jax.vmap(lambda i: modes.drive @ modes.profile(i))(jnp.arange(100.0))
-    found = jax.jit(equilibrium)(chain(FIG2, sites=100, right=right), relaxed_at(FIG2, modes.load))
+    found = jax.jit(equilibrium)(chain(ended(FIG2, 100, right), sites=100), relaxed_at(FIG2, modes.load))
     np.testing.assert_allclose(found.layer, exact, rtol=1e-12)
 
 
@@ -363,7 +362,7 @@ def with_cut(cut_upper, detached_from, sites=8):
     contact[detached_from:] = 0
     if cut_upper is not None:
         upper[cut_upper] = layer[cut_upper] = 0
-    return chain(FIG2, sites=sites, right="free", contact=contact, upper=upper, layer=layer)
+    return chain(ended(FIG2, sites), contact=contact, upper=upper, layer=layer)
 
 
 @pytest.mark.ci
@@ -402,7 +401,7 @@ def test_a_lane_that_is_not_a_number_leaves_the_others_alone():
 @pytest.mark.ci
 def test_no_number_is_called_solved_that_is_none():
     """Light contacts on stiff bodies, whose forces are less than the last digits of the bonds'; and numbers that overflow."""
-    rigid = chain(sp.Slider(25.0, 1e-12, -0.9999999999), sites=4, right="free")
+    rigid = chain(ended(sp.Slider(25.0, 1e-12, -0.9999999999), 4))
     found = equilibrium(rigid, rigid.relaxed(1000.0))
     assert found.status == Outcome.SOLVED
     assert found.residual < 1e-14
@@ -425,7 +424,7 @@ def test_no_number_is_called_solved_that_is_none():
 @pytest.mark.parametrize("law", [lambda z: z + 200 * z**5, lambda z: jnp.expm1(8 * z) / 8], ids=["quintic", "exponential"])
 def test_newton_on_laws_that_stiffen(law):
     """Whole steps of Newton's method overshoot by ever more there; a third program finds the equilibrium from forces alone."""
-    c = chain(FIG2, sites=3, law=law, right="free")
+    c = chain(ended(FIG2, 3), law=law)
     found = equilibrium(c, c.relaxed(10.0))
     assert found.status == Outcome.SOLVED
 
@@ -458,7 +457,7 @@ def test_residual_compares_with_what_the_springs_exert_by_themselves(right):
     *_, across, _, end = uniform_springs(*slider, sites, right)
     for _ in range(12):
         fields = {name: rng.uniform(0.05, 2, count) for name, count in (("upper", 3), ("layer", 3), ("contact", sites))}
-        mine = chain(sp.Slider(*slider), sites=sites, right=right, law=law, **fields)
+        mine = chain(ended(sp.Slider(*slider), sites, right), sites=sites, law=law, **fields)
         state = State(jnp.asarray(rng.uniform(-1, 1, sites) * [0, 0, 1, 5]), jnp.asarray(rng.uniform(0, 0.3)))
         found = solve_one(mine, state)
         bonds = stiffness_matrix(fields["upper"], fields["layer"], across, np.zeros(sites), end)
@@ -498,7 +497,6 @@ def test_float32(right):
     ("wrong", "message"),
     [
         ({"sites": 1}, "sites = 1: must be a whole number, at least 2"),
-        ({"right": "open"}, "right = 'open': must be one of"),
         ({"contact": [0.03, 0.03]}, r"contact has shape \(2,\): must be \(\) or \(5,\) for 5 sites"),
         ({"contact": -0.5}, "contact = -0.5: must be zero or more"),
         ({"upper": -0.5}, "upper = -0.5: must be zero or more"),

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from chains import ended
 
 import slippulse_jax as sp
 from slippulse_jax import lengths, theory
@@ -31,7 +32,7 @@ def products(f, x):
 
 
 def chain(slider):
-    return sp.chain(slider, sites=40, right="free")
+    return sp.chain(ended(slider, 40))
 
 
 def forward(f):

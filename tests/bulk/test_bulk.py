@@ -10,7 +10,6 @@ import pytest
 
 import slippulse_jax as sp
 from slippulse_jax import lengths as bulk
-from slippulse_jax.bodies.modes import ENDLESS
 from slippulse_jax.bulk import chunks as batch
 from slippulse_jax.exact import bulk as exact_lanes
 from slippulse_jax.front import lanes
@@ -31,8 +30,8 @@ def by_recursion(lanes_):
 
 
 def kind(numbers):
-    """What puts so many numbers of a lane together to slider, interface, rule and ends."""
-    return jax.tree.structure((sp.Slider(25.0, 0.03, 0.3), sp.Interface() if numbers == 5 else None, HardBreak(), ENDLESS))
+    """What puts so many numbers of a lane together to slider, interface and rule."""
+    return jax.tree.structure((sp.Slider(25.0, 0.03, 0.3), sp.Interface() if numbers == 5 else None, HardBreak()))
 
 
 @pytest.fixture(scope="module")

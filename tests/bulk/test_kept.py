@@ -27,7 +27,7 @@ jax.monitoring.register_event_duration_secs_listener(lambda event, *_, **more: t
 rng = np.random.default_rng(0)
 slider = Slider(rng.uniform(10, 60, 200), rng.uniform(1e-3, 0.05, 200), rng.uniform(0.1, 0.45, 200))
 found = precursor_lengths(slider, derivatives=1)
-ended = precursor_lengths(slider, Interface(0.02), right="free", sites=70.5)
+ended = precursor_lengths(Slider(slider.height, slider.stiffness, slider.poisson, length=70.5), Interface(0.02))
 few = precursor_lengths(Slider(slider.height[:5], slider.stiffness[:5], slider.poisson[:5]))
 jax.tree.map(lambda x: sys.stdout.write(x.tobytes().hex() + "\\n"), (found, ended, few))
 print(bool([event for event, _ in traced if 'trace' in event]))

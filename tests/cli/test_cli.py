@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import click
 import numpy as np
 import pytest
+from chains import ended
 
 import slippulse_jax as sp
 from slippulse_jax.blocks import size
@@ -202,11 +203,11 @@ def test_length_of_a_block_that_ends_under_a_machine_that_gives_way(in_this_proc
     done = in_this_process("length", "--json", "--poisson", "0.3", *si, "--block-length-mm", "10.05", "--machine", "2")
     content = json.loads(done.stdout)
     slider = sp.Slider(25.0, 0.03, 0.3)
-    assert content["length"] == pytest.approx(float(sp.precursor_lengths(slider, right="free", sites=100.5, machine=2.0)))
+    assert content["length"] == pytest.approx(float(sp.precursor_lengths(ended(slider, 100.5, machine=2.0))))
     assert content["length_mm"] == pytest.approx(content["length"] / 10)
     assert (content["right"], content["sites"], content["machine"]) == ("free", 100.5, 2)
     held = json.loads(in_this_process("length", "--json", *FIG2, "--machine", "2").stdout)
-    assert held["length"] == pytest.approx(float(sp.precursor_lengths(slider, machine=2.0)))
+    assert held["length"] == pytest.approx(float(sp.precursor_lengths(ended(slider, machine=2.0))))
     assert held["length"] < content["length"]
     text = in_this_process("length", *FIG2, "--machine", "2").stdout
     assert "machine M/K = 2" in text
@@ -220,7 +221,7 @@ def test_length_of_a_block_that_ends_under_a_machine_that_gives_way(in_this_proc
 @pytest.mark.filterwarnings("ignore:Block:RuntimeWarning")
 def test_a_block_without_a_length_says_why(status, code, friction, monkeypatch, in_this_process):
     """Whatever its outcome; only a block that lifts off is said to lift off."""
-    monkeypatch.setattr(size, "_length", lambda *_: np.nan)
+    monkeypatch.setattr(size, "_length", lambda *_, **__: np.nan)
     monkeypatch.setattr(size, "_record", lambda *_: SimpleNamespace(status=status))
     monkeypatch.setattr(exact_front, "exact_length", lambda _: np.nan)
     done = in_this_process("length", *FIG2, "--push-height", "0.3", *friction)
@@ -292,8 +293,7 @@ def test_fit_as_json_keeps_stdout_clean(tmp_path, in_this_process):
             "missing --correlation-length-um, --areal-stiffness, --young-gpa",
         ),
         (["length", "--height", "1e170", "--stiffness", "0.03", "--poisson", "0.3"], "invalid: a value outside its domain"),
-        (["length", *FIG2, "--right", "free"], "needs a number of sites"),
-        (["length", *FIG2, "--sites", "100"], "a semi-infinite chain has no number of sites"),
+        (["length", *FIG2, "--right", "free"], "needs a length"),
         (["length", *FIG2, "--right", "open"], "'open' is not one of"),
         (["length", *FIG2, "--block-length-mm", "100"], "--block-length-mm belongs to the SI form of the slider"),
         (["length", *FIG2, "--block-length-mm", "100", "--sites", "9"], "--sites and --block-length-mm both say where"),

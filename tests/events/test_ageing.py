@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from chains import SITES, long_series
+from chains import SITES, ended, long_series
 from oracles.dense_chain import DenseChain, ages
 from problems import PAPER
 from scipy.optimize import brentq
@@ -82,7 +82,7 @@ def test_infinitely_fast_ageing_is_none():
 def test_infinitely_slow_ageing_leaves_broken_contacts_weak():
     """As a chain whose broken contacts have the newborn threshold for ever: against the dense program."""
     plain = DenseChain.uniform((10.0, 0.03, 0.3), np.ones(SITES), np.zeros(SITES), strength=lambda a: 0.5 + 0 * a)
-    chain = sp.chain(sp.Slider(10.0, 0.03, 0.3), sites=SITES, right="free")
+    chain = sp.chain(ended(sp.Slider(10.0, 0.03, 0.3), SITES))
     got = jax.tree.map(np.asarray, long_series(chain, ageing=sp.Ageing(0.5, 1e12)))
     for e in range(12):
         assert list(got.break_site[got.break_event == e]) == plain.event()

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from chains import batch, both_chains
+from chains import batch, both_chains, ended
 from problems import PAPER
 
 import slippulse_jax as sp
@@ -194,14 +194,13 @@ def test_length_ends_on_the_curve_where_all_contacts_are_alike(alike, right, giv
         interface = sp.Interface(fields["prestress"][0], fields["threshold"][1] - 1)
         if not alike:
             interface = sp.Profile(fields["threshold"], fields["prestress"])
-        ends = {} if right == "semi-infinite" else {"right": right, "sites": 40}
-        assert abs(found.length - sp.precursor_length(sp.Slider(10.0, 0.03, 0.3), interface, **ends)) < 1e-11
+        assert abs(found.length - sp.precursor_length(ended(sp.Slider(10.0, 0.03, 0.3), 40, right), interface)) < 1e-11
 
 
 @pytest.mark.slow
 def test_error_over_a_hundred_thousand_breaks():
     """The bound: n breaks leave a relative error of at most n (ε + 8u), componentwise; what is found is far below it."""
-    c = chain(FIG2, sites=3000, right="free")
+    c = chain(ended(FIG2, 3000))
     found = jax.jit(lambda s: rupture(c, s, max_breaks=100_000))(c.relaxed(2e5))
     assert found.breaks == 100_000
     assert found.status == Outcome.LIMIT
@@ -216,7 +215,7 @@ def test_error_over_a_hundred_thousand_breaks():
 @pytest.mark.ci
 def test_a_rupture_goes_on_where_it_was_given_up():
     """Stopping after n breaks and going on from that state is the same rupture: nothing is remembered but the state."""
-    c = chain(FIG2, sites=100, right="free")
+    c = chain(ended(FIG2, 100))
     whole, part = (jax.tree.map(np.asarray, rupture(c, c.relaxed(20.0), max_breaks=n)) for n in (1000, 300))
     rest = jax.tree.map(np.asarray, rupture(c, State(*map(jnp.asarray, part.state)), max_breaks=1000))
     assert part.status == Outcome.LIMIT
@@ -337,7 +336,7 @@ def test_how_a_rupture_ends():
         found = rupture(c, c.relaxed(load), **options)
         return Outcome(int(found.status)), float(found.length), found
 
-    semi, free = chain(FIG2, sites=40), chain(FIG2, sites=40, right="free")
+    semi, free = chain(FIG2, sites=40), chain(ended(FIG2, 40))
     status, length, found = ends(semi, 1.0)
     assert (status, length, int(found.breaks), int(found.extent)) == (Outcome.NOTHING_BROKE, 0.0, 0, 0)
     assert not found.slip.any()
@@ -350,7 +349,7 @@ def test_how_a_rupture_ends():
     cut = np.ones(39)
     cut[9] = 0
     contact = np.where(np.arange(40) < 10, 0.03, 0)
-    floating = chain(FIG2, sites=40, right="free", contact=contact, layer=cut, upper=25 * cut)
+    floating = chain(ended(FIG2, 40), contact=contact, layer=cut, upper=25 * cut)
     status, length, found = ends(floating, 9.0)
     assert status == Outcome.SINGULAR
     assert int(found.breaks) == 0
@@ -414,7 +413,7 @@ def test_trigger_just_below_its_threshold():
 
 @pytest.mark.ci
 def test_nothing_to_load():
-    c = chain(FIG2, sites=4, right="free", contact=0.0)
+    c = chain(ended(FIG2, 4), contact=0.0)
     state, site = nucleate(c)
     assert site == -1
     assert np.isinf(state.load)
@@ -451,7 +450,7 @@ def test_the_usual_call_breaks_the_first_contact(double):
     with jax.enable_x64(double):
         below = 0
         for height, stiffness, right in itertools.product((5.0, 50.0, 1000.0), (1e-3, 0.03, 1.0), ("semi-infinite", "free")):
-            c = chain(sp.Slider(height, stiffness, 0.3), sites=20, right=right)
+            c = chain(ended(sp.Slider(height, stiffness, 0.3), 20, right), sites=20)
             state, site = nucleate(c)
             expected = rupture(c, state, trigger=site)
             below += int(rupture(c, state, trigger=-1).status) == Outcome.NOTHING_BROKE

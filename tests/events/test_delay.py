@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from chains import ended
 from oracles import dense_chain
 from oracles.dense_chain import DenseChain
 
@@ -21,7 +22,7 @@ def rough(delay):
     rng = np.random.default_rng(delay)
     slider = (rng.uniform(5, 12), 10 ** rng.uniform(-2, -1), 0.3)
     theta, phi = rng.uniform(0.9, 1.1, 30), rng.uniform(0, 0.2, 30)
-    chain = sp.chain(sp.Slider(*slider), sites=30, right="free", threshold=theta, prestress=phi)
+    chain = sp.chain(ended(sp.Slider(*slider), 30), threshold=theta, prestress=phi)
     return DenseChain.uniform(slider, theta, phi, delay=delay), chain
 
 

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from chains import ended
 from oracles import leapfrog
 from oracles.dense_chain import responses
 
@@ -19,7 +20,7 @@ FIG2 = sp.Slider(25.0, 0.03, 0.3)
 @pytest.mark.parametrize(("damping", "friction"), [(0.0, None), (0.2, None), (0.1, 0.5)])
 def test_against_plain_leapfrog(damping, friction):
     slider, sites = (10.0, 0.03, 0.3), 30
-    chain = sp.chain(sp.Slider(*slider), sites=sites, right="free")
+    chain = sp.chain(ended(sp.Slider(*slider), sites))
     rule = SelfHealing() if friction is None else CrackLike(friction)
     got = sp.simulate_inertial(chain, duration=60.0, damping=damping, rule=rule)
     x, pin, count, books = leapfrog.run(slider, sites, float(got.step), round(float(got.time / got.step)), damping, friction)
@@ -34,7 +35,7 @@ def test_a_stiff_bond_makes_no_block_heavier():
     slider, sites, bond = (10.0, 0.03, 0.3), 30, 6
     upper = np.full(sites - 1, 10.0)
     upper[bond] *= 5
-    chain = sp.chain(sp.Slider(*slider), sites=sites, right="free", upper=upper)
+    chain = sp.chain(ended(sp.Slider(*slider), sites), upper=upper)
     got = sp.simulate_inertial(chain, duration=60.0)
     steps = round(float(got.time / got.step))
     x, pin, count, _ = leapfrog.run(slider, sites, float(got.step), steps, 0.0, extra={bond: 40.0})
@@ -50,7 +51,7 @@ def test_the_step_is_stable_on_any_chain():
     n = 12
     for right in ("free", "clamped", "semi-infinite"):
         for upper, layer in ((25.0, 1.0), (0.1, 0.004), (np.geomspace(0.1, 500, n - 1), np.geomspace(3, 0.01, n - 1))):
-            chain = sp.chain(FIG2, sites=n, right=right, upper=upper, layer=layer)
+            chain = sp.chain(ended(FIG2, n, right), sites=n, upper=upper, layer=layer)
             stiffness = -jax.jacfwd(lambda x, c=chain: jnp.append(*forces(c, np.zeros(n), (x[:n], x[n:]))))(np.zeros(2 * n))
             root = np.sqrt(np.append(np.full(n, 25.0), np.ones(n)))
             fastest = np.sqrt(np.linalg.eigvalsh(np.asarray(stiffness)[1:, 1:] / np.outer(root, root)[1:, 1:])[-1])
@@ -102,7 +103,7 @@ def test_energy_balance_to_the_order_of_the_integrator():
 @pytest.mark.parametrize("steps", [200_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
 def test_no_drift_over_many_steps(steps):
     """Undamped, after the breaks are over, the imbalance stays what it was: nothing accumulates."""
-    chain = sp.chain(sp.Slider(10.0, 0.03, 0.3), sites=16, right="free", threshold=np.append(1.0, np.full(15, 50.0)))
+    chain = sp.chain(ended(sp.Slider(10.0, 0.03, 0.3), 16), threshold=np.append(1.0, np.full(15, 50.0)))
     short = sp.simulate_inertial(chain, duration=2000.0)
     long = sp.simulate_inertial(chain, duration=float(short.step) * steps)
     assert round(float(long.time / long.step)) >= steps

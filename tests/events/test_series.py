@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from chains import SITES, long_series
+from chains import SITES, ended, long_series
 from oracles.dense_chain import DenseChain, ages
 from problems import PAPER
 
@@ -36,7 +36,7 @@ def test_against_dense_program(protocol, right, ageing):
     protocols = {"adiabatic": Adiabatic(), "steps": sp.Steps(0.21), "spring": sp.Spring(4.0)}
     law = None if ageing is None else ages(*ageing)
     plain = DenseChain.uniform(slider, theta, phi, right, strength=law, spring=4.0 if protocol == "spring" else None)
-    chain = sp.chain(sp.Slider(*slider), sites=sites, right=right, threshold=theta, prestress=phi)
+    chain = sp.chain(ended(sp.Slider(*slider), sites, right), sites=sites, threshold=theta, prestress=phi)
     aged = None if ageing is None else sp.Ageing(ageing[1], ageing[2], ageing[0])
     got = jax.tree.map(np.asarray, long_series(chain, protocols[protocol], ageing=aged))
     for e in range(events):
@@ -58,7 +58,7 @@ def test_state_of_a_short_chain_against_dense_program(right):
     rng = np.random.default_rng(7)
     slider, theta, phi = (8.0, 0.03, 0.3), rng.uniform(0.9, 1.1, 30), rng.uniform(0, 0.2, 30)
     plain = DenseChain.uniform(slider, theta, phi, right)
-    chain = sp.chain(sp.Slider(*slider), sites=30, right=right, threshold=theta, prestress=phi)
+    chain = sp.chain(ended(sp.Slider(*slider), 30, right), sites=30, threshold=theta, prestress=phi)
     got = sp.series(chain, events=25, recorded_breaks=4000, stop_when_spanning=False)
     assert int(got.status) == Outcome.DONE
     assert list(got.break_site[got.break_event >= 0]) == [site for _ in range(25) for site in plain.event()]
@@ -94,7 +94,7 @@ def test_energy_of_every_event(protocol, ageing):
 
 @pytest.mark.ci
 def test_stored_energy_is_that_of_the_springs():
-    chain = sp.chain(sp.Slider(*FIG2), sites=SITES, right="free")
+    chain = sp.chain(ended(sp.Slider(*FIG2), SITES))
     got = long_series(chain)
     at_end = sp.equilibrium(chain, got.state)
     u_t, u = np.asarray(at_end.upper), np.asarray(at_end.layer)
@@ -109,7 +109,7 @@ def test_first_event_is_the_first_precursor():
     assert round(float(got.load[0]), 4) == 3.1985
     assert abs(got.length[0] - sp.precursor_length(sp.Slider(*FIG2))) < 1e-10
     pulled = long_series(CHAIN, sp.Spring(10.0))  # from one site to the left: the driver
-    assert abs(pulled.length[0] - sp.precursor_length(sp.Slider(*FIG2), machine=10.0)) < 1e-10
+    assert abs(pulled.length[0] - sp.precursor_length(ended(sp.Slider(*FIG2), machine=10.0))) < 1e-10
 
 
 @pytest.mark.ci
@@ -176,7 +176,7 @@ def test_force_at_which_the_front_reaches_a_position():
     assert np.isnan(want[-3:]).all()
     assert float(found.force_at(lengths[0], 250.0)) == pytest.approx(250 * forces[0] / strength)
     assert found.reach(float(found.load[0])) >= lengths[0]
-    short = sp.chain(sp.Slider(8.0, 0.03, 0.3), sites=30, right="free")
+    short = sp.chain(ended(sp.Slider(8.0, 0.03, 0.3), 30))
     whole = sp.series(short, events=200)
     assert int(whole.status) == Outcome.SPANNED
     last = int(whole.number) - 1
@@ -212,7 +212,7 @@ def test_a_stiff_spring_is_no_spring():
 @pytest.mark.parametrize("stop", [True, False])
 def test_an_event_spans_whatever_pulls_the_edge(stop):
     """The driver's own site is not one of the chain's: the last contact is, and its break ends a series."""
-    chain = sp.chain(sp.Slider(10.0, 0.1, 0.3), sites=30, right="free")
+    chain = sp.chain(ended(sp.Slider(10.0, 0.1, 0.3), 30))
     direct, pulled = (sp.series(chain, how, events=16, stop_when_spanning=stop) for how in (Adiabatic(), sp.Spring(1e9)))
     assert int(direct.status) == (Outcome.SPANNED if stop else Outcome.DONE)
     assert EventClass.SPANNING in direct.kind
@@ -241,7 +241,7 @@ def test_lanes_do_not_depend_on_their_order_nor_disturb_each_other():
 @pytest.mark.ci
 def test_endings_are_reported():
     slider = sp.Slider(*FIG2)
-    free = sp.chain(slider, sites=SITES, right="free")
+    free = sp.chain(ended(slider, SITES))
     assert int(sp.series(free, events=400, until=100.0).status) == Outcome.SPANNED
     assert int(sp.series(CHAIN, events=400, max_breaks=5).status) == Outcome.LIMIT
     assert int(long_series(sp.chain(slider, sites=SITES, prestress=1.5)).status) == Outcome.INVALID

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from chains import ended
 from oracles import dense_chain
 
 import slippulse_jax as sp
@@ -113,7 +114,7 @@ def test_finite_chain_has_derivatives_too():
     theta = np.array([25.0, 0.03, 0.3])
 
     def finite(theta):
-        return precursor_length(Slider(theta[0], theta[1], theta[2]), right="free", sites=100)
+        return precursor_length(ended(Slider(theta[0], theta[1], theta[2]), 100))
 
     got = jax.grad(finite)(theta)
     for i in range(3):

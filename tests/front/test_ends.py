@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from chains import SITES, long_series
+from chains import SITES, ended, long_series
 from oracles import dense_chain
 
 import slippulse_jax as sp
-from slippulse_jax.bodies.modes import Ends, lattice_modes
+from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.events.series import Spring
 from slippulse_jax.lengths import arrests
 from slippulse_jax.status import Outcome
@@ -26,12 +26,10 @@ def test_against_dense_chains(right):
     sliders = sp.Slider(rng.uniform(3, 60, n), 10 ** rng.uniform(-3.5, -0.5, n), rng.uniform(0, 0.49, n))
     sites = rng.choice([20, 60, 160, 400], n, p=[0.3, 0.3, 0.3, 0.1])
     machine = np.resize(MACHINES, n)
-    ends = Ends(right, None if right == "semi-infinite" else sites, machine)
-    got = arrests(sliders, ends=ends)
+    sliders = ended(sliders, sites, right, machine)
+    got = arrests(sliders)
     with jax.enable_x64(True):
-        load = jax.vmap(lambda slider, ends: lattice_modes(slider, ends).load)(
-            jax.tree.map(jnp.asarray, sliders), jax.tree.map(lambda x: jnp.asarray(x, float), ends)
-        )
+        load = jax.vmap(lambda slider: lattice_modes(slider).load)(jax.tree.map(jnp.asarray, sliders))
     for i, slider in enumerate(zip(sliders.height, sliders.stiffness, sliders.poisson, strict=True)):
         many = 140 if right == "semi-infinite" else int(sites[i])
         count, length, U0, behind = dense_chain.first_precursor(*slider, many, right, machine[i])
@@ -45,7 +43,7 @@ def test_against_dense_chains(right):
         if count > 1:
             assert abs(got.edge_stress[i] - behind[0]) <= 1e-9
     if right != "semi-infinite":
-        in_bulk = sp.precursor_lengths(sliders, right=right, sites=sites, machine=machine)
+        in_bulk = sp.precursor_lengths(sliders)
         np.testing.assert_allclose(in_bulk, got.length, rtol=1e-9)
     assert (got.status == Outcome.ARRESTED).any()
     if right == "free":
@@ -54,12 +52,12 @@ def test_against_dense_chains(right):
 
 def test_a_machine_of_infinite_stiffness_imposes_the_displacement():
     """The same bits as without one, also where some lanes of a batch have a machine."""
-    assert float(sp.precursor_length(FIG2, machine=np.inf)) == float(sp.precursor_length(FIG2))
+    assert float(sp.precursor_length(ended(FIG2, machine=np.inf))) == float(sp.precursor_length(FIG2))
     with jax.enable_x64(True):
-        rigid, none = lattice_modes(FIG2, Ends(machine=np.inf)), lattice_modes(FIG2)
+        rigid, none = lattice_modes(ended(FIG2, machine=np.inf)), lattice_modes(FIG2)
     for a, b in zip(jax.tree.leaves(rigid), jax.tree.leaves(none), strict=True):
         np.testing.assert_array_equal(a, b)
-    lengths = sp.precursor_lengths(FIG2, machine=[np.inf, 1e3, 30.0, 3.0])
+    lengths = sp.precursor_lengths(ended(FIG2, machine=[np.inf, 1e3, 30.0, 3.0]))
     assert (np.diff(lengths) > 0).all(), "the softer the drive, the longer the front"
     assert lengths[0] == pytest.approx(float(sp.precursor_lengths(FIG2)), rel=1e-14)
 
@@ -73,12 +71,12 @@ def test_bulk_lengths_on_prestressed_interfaces_with_gradients(right):
     sliders = sp.Slider(rng.uniform(3, 60, n), 10 ** rng.uniform(-3.5, -0.5, n), rng.uniform(0, 0.49, n))
     interface = sp.Interface(rng.choice([0, 0.3, 0.7], n), rng.choice([0, -1e-3, 1e-3], n))
     ends = {"sites": rng.uniform(20, 200, n), "machine": 10 ** rng.uniform(-1, 3, n)}
-    general = arrests(sliders, interface, ends=Ends(right, **ends))
-    length = sp.precursor_lengths(sliders, interface, right=right, **ends)
+    general = arrests(ended(sliders, right=right, **ends), interface)
+    length = sp.precursor_lengths(ended(sliders, right=right, **ends), interface)
     np.testing.assert_allclose(length, general.length, rtol=1e-9, atol=1e-10)
     assert np.isin([Outcome.ARRESTED, Outcome.RAN_THROUGH, Outcome.NO_DOMINO], general.status).all()
-    endless = sp.precursor_lengths(sliders, interface, machine=ends["machine"])
-    expected = arrests(sliders, interface, ends=Ends(machine=ends["machine"])).length
+    endless = sp.precursor_lengths(ended(sliders, machine=ends["machine"]), interface)
+    expected = arrests(ended(sliders, machine=ends["machine"]), interface).length
     np.testing.assert_allclose(endless, expected, rtol=1e-9, atol=1e-10)
 
 
@@ -87,7 +85,7 @@ def test_fields_under_a_drive_are_those_of_the_chain_with_that_spring():
     """Nucleation and arrest, against the dense program; and the force of the drive is what its spring transmits."""
     sites, machine = 60, 10.0
     with jax.enable_x64(True):
-        front = sp.first_precursor(FIG2, right="clamped", sites=sites, machine=machine)
+        front = sp.first_precursor(ended(FIG2, sites, "clamped", machine=machine))
         assert front.arrest.layer.shape == (sites,)
     dense = dense_chain.DenseChain.uniform((25.0, 0.03, 0.3), np.ones(sites), 0.0, "clamped", spring=machine)
     for fields in (front.nucleation, front.arrest):
@@ -101,8 +99,8 @@ def test_fields_under_a_drive_are_those_of_the_chain_with_that_spring():
 def test_the_machine_stays_while_the_front_runs():
     """The first event of a series under the same spring breaks the same contacts."""
     with jax.enable_x64(True):
-        event = long_series(sp.chain(FIG2, sites=SITES, right="free"), Spring(10.0))
-        front = sp.first_precursor(FIG2, right="free", sites=SITES, machine=10.0)
+        event = long_series(sp.chain(ended(FIG2, SITES)), Spring(10.0))
+        front = sp.first_precursor(ended(FIG2, SITES, machine=10.0))
     assert int(event.extent[0]) == int(front.contacts_broken)
 
 
@@ -114,7 +112,7 @@ def test_derivatives_in_the_number_of_sites_and_the_machine(right):
 
         def length(numbers):
             height, stiffness, poisson, sites, machine = numbers
-            return sp.precursor_length(sp.Slider(height, stiffness, poisson), right=right, sites=sites, machine=machine)
+            return sp.precursor_length(ended(sp.Slider(height, stiffness, poisson), sites, right, machine=machine))
 
         at = jnp.array([25.0, 0.03, 0.3, 90.3, 20.0])
         slope = jax.jit(jax.jacfwd(length))(at)
@@ -122,19 +120,19 @@ def test_derivatives_in_the_number_of_sites_and_the_machine(right):
         moved = at[None] + jnp.concatenate([jnp.diag(step), -jnp.diag(step)])
         up, down = jax.jit(jax.vmap(length))(moved).reshape(2, -1)
     np.testing.assert_allclose(slope, (up - down) / (2 * step), rtol=1e-6, atol=1e-9)
-    found = sp.precursor_lengths(sp.Slider(*at[:3]), right=right, sites=at[3], machine=at[4], derivatives=1)
-    np.testing.assert_allclose(jax.tree.leaves((found.slider, found.ends)), slope, rtol=1e-9)
+    found = sp.precursor_lengths(ended(sp.Slider(*at[:3]), at[3], right, machine=at[4]), derivatives=1)
+    np.testing.assert_allclose(jax.tree.leaves(found.slider), slope, rtol=1e-9)
 
 
 @pytest.mark.ci
 def test_the_formulas_hold_between_whole_numbers_of_sites():
     """At whole N they are the chain's, and in between the length is continuous while the front stops well before the end."""
     sites = np.linspace(70, 74, 401)
-    length = sp.precursor_lengths(FIG2, right="free", sites=sites)
-    whole = [float(sp.precursor_length(FIG2, right="free", sites=n)) for n in range(70, 75)]
+    length = sp.precursor_lengths(ended(FIG2, sites))
+    whole = [float(sp.precursor_length(ended(FIG2, n))) for n in range(70, 75)]
     np.testing.assert_allclose(length[::100], whole, rtol=1e-6)
     assert np.abs(np.diff(length)).max() < 0.02 * (length.max() - length.min()), "no jump"
-    contacts = Ends("free", np.array([9.5, 9.51, 10.0, 10.5])).contacts
+    contacts = ended(FIG2, np.array([9.5, 9.51, 10.0, 10.5])).sites
     assert contacts is not None
     assert contacts.tolist() == [9, 10, 10, 10]
 
@@ -142,12 +140,16 @@ def test_the_formulas_hold_between_whole_numbers_of_sites():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"machine": 0.0}, "machine = 0: must be positive"),
-        ({"machine": [3.0, -1.0]}, r"machine = -1 at index 1: must be positive"),
-        ({"right": "free", "sites": [30.0, np.nan]}, "at least 2"),
-        ({"sites": 30.0}, "a semi-infinite chain has no number of sites"),
+        ({"machine": 0.0}, "Slider.machine = 0: must be positive"),
+        ({"machine": [3.0, -1.0]}, r"Slider.machine = -1 at index 1: must be positive"),
+        ({"length": [30.0, np.nan]}, r"Slider.length = nan at index 1: at least two"),
+        ({"length": 1.9}, "Slider.length = 1.9: at least two"),
+        ({"length": 30.0, "right": "semi-infinite"}, "right = 'semi-infinite': a slider with this end has no length"),
+        ({"right": "clamped"}, "right = 'clamped': a slider with this end needs a length"),
+        ({"length": 30.0, "right": "open"}, "right = 'open': must be one of 'semi-infinite', 'free', 'clamped'"),
+        ({"length": [30.0, 40.0, 50.0], "machine": [1.0, 2.0]}, r"length \(3,\), machine \(2,\)"),
     ],
 )
 def test_bad_ends_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
-        sp.precursor_lengths(FIG2, **options)
+        sp.Slider(25.0, 0.03, 0.3, **options)

@@ -7,12 +7,13 @@ import jax.numpy as jnp
 import mpmath
 import numpy as np
 import pytest
+from chains import ended
 from oracles import dense_chain
 from oracles.lattice_mp import Chain
 from problems import PAPER, REFERENCE
 
 from slippulse_jax import Slider, first_precursor, precursor, precursor_length, precursor_lengths
-from slippulse_jax.bodies.modes import Ends, lattice_modes
+from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.exact.front import exact_front_stress, exact_length
 from slippulse_jax.front.arrest import FrontNotArrested, arrest
 from slippulse_jax.front.front import (
@@ -52,7 +53,7 @@ def test_against_dense_chain(right, number):
     """Random sliders on chains of 400 sites and on the endless one: same count, length, edge stress and status."""
     sliders = random_sliders(number, seed=number)
     sites = 140 if right == "semi-infinite" else 400  # what lies beyond the matrix of an endless chain is eliminated exactly
-    got = arrests(sliders, ends=Ends(right, None if right == "semi-infinite" else sites))
+    got = arrests(ended(sliders, sites, right))
     for i, slider in enumerate(zip(sliders.height, sliders.stiffness, sliders.poisson, strict=True)):
         count, length, _, behind = dense_chain.first_precursor(*slider, sites, right)
         assert got.contacts_broken[i] == count, slider
@@ -67,7 +68,7 @@ def test_against_dense_chain(right, number):
 @pytest.mark.ci
 @pytest.mark.parametrize(("right", "count", "length"), [("free", 28, 27.614), ("clamped", 25, 24.277)])
 def test_right_end_changes_the_answer(right, count, length):
-    front = first_precursor(Slider(25, 0.03, 0.3), right=right, sites=100)
+    front = first_precursor(ended(Slider(25, 0.03, 0.3), 100, right))
     assert int(front.contacts_broken) == count
     assert round(float(front.length), 3) == length
     assert abs(float(front.length) - dense_chain.first_precursor(25.0, 0.03, 0.3, 100, right)[1]) < 1e-10
@@ -94,17 +95,17 @@ def test_length_of_the_chain_order_of_breaks_and_stress_behind_by_dense_solves()
 def test_long_chains_agree_with_the_endless_one():
     endless = precursor_length(Slider(25, 0.03, 0.3))
     for right in ("free", "clamped"):
-        assert abs(precursor_length(Slider(25, 0.03, 0.3), right=right, sites=3000) - endless) < 1e-12
+        assert abs(precursor_length(ended(Slider(25, 0.03, 0.3), 3000, right)) - endless) < 1e-12
 
 
 @pytest.mark.ci
 def test_front_that_reaches_the_end_has_no_length():
     slider = Slider(50, 0.03, 0.3)
-    front = first_precursor(slider, right="free", sites=100)
+    front = first_precursor(ended(slider, 100))
     assert int(front.status) == Outcome.RAN_THROUGH
     assert int(front.contacts_broken) == 100
     assert np.isinf(front.length)
-    gradient = jax.grad(lambda k: precursor_length(Slider(50.0, k, 0.3), right="free", sites=100))(0.03)
+    gradient = jax.grad(lambda k: precursor_length(ended(Slider(50.0, k, 0.3), 100)))(0.03)
     assert not np.isfinite(gradient), "a length that is none has no derivative, and not a silent zero either"
 
 

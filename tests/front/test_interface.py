@@ -5,6 +5,7 @@ import functools
 import jax
 import numpy as np
 import pytest
+from chains import ended
 from oracles import dense_chain
 from oracles.dense_chain import DenseChain, chain_matrix
 
@@ -29,8 +30,7 @@ def test_against_dense_chain(right):
         if right == "semi-infinite" and count == sites:
             continue
         got = first_precursor(
-            Slider(*slider), interface=Interface(phi, slope), right=right, sites=sites if right == "free" else None,
-            recorded_sites=sites,
+            ended(Slider(*slider), sites, right), interface=Interface(phi, slope), recorded_sites=sites
         )  # fmt: skip
         got = jax.tree.map(np.asarray, got)
         assert int(got.contacts_broken) == count

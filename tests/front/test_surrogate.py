@@ -4,12 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from chains import ended
 from scipy.integrate import quad
 from scipy.special import expit
 
 import slippulse_jax as sp
 from slippulse_jax.bodies.chain import chain
-from slippulse_jax.bodies.modes import ENDLESS, lattice_modes
+from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.events.rupture import nucleate, rupture
 from slippulse_jax.front.arrest import FrontNotArrested, arrest, quantity
 from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, runaway_prestress
@@ -20,7 +21,7 @@ from slippulse_jax.status import Outcome
 @jax.jit
 def length(height, stiffness, poisson, width):
     slider = sp.Slider(height=height, stiffness=stiffness, poisson=poisson)
-    given = (slider, None, ENDLESS, DEFAULT_MAX_CONTACTS, SmoothBreak(width=width))
+    given = (slider, None, DEFAULT_MAX_CONTACTS, SmoothBreak(width=width))
     return quantity("length", *given), quantity("status", *given)
 
 
@@ -246,7 +247,7 @@ def test_any_interface_against_the_sweep_of_a_chain(contacts, right):
     sites = 120 if right == "semi-infinite" else 80
     site = np.arange(sites)
     theta, phi = (1.0, 0.0) if contacts is None else (contacts.threshold_at(site), contacts.prestress_at(site))
-    c = chain(FIG2, sites=sites, right=right, threshold=theta, prestress=phi)
+    c = chain(ended(FIG2, sites, right), sites=sites, threshold=theta, prestress=phi)
     state, first = nucleate(c)
     ends = {} if right == "semi-infinite" else {"right": right, "sites": sites}
     for width in (0.02, 3e-3):
@@ -279,10 +280,10 @@ def test_a_front_that_reaches_the_end_runs_through():
     """As the sweep of a chain has it: where more than half of the last contact breaks."""
     rule, last = SmoothBreak(width=0.02), []
     for sites in range(40, 70, 2):
-        c = chain(FIG2, sites=sites, right="free")
+        c = chain(ended(FIG2, sites))
         state, site = nucleate(c)
         event = rupture(c, state, trigger=site, rule=rule)
-        found = sp.precursor_length(FIG2, rule=rule, right="free", sites=sites)
+        found = sp.precursor_length(ended(FIG2, sites), rule=rule)
         assert bool(np.isinf(found)) == (event.status == Outcome.RAN_THROUGH)
         last.append(float(found))
         np.testing.assert_allclose(found, event.length, rtol=1e-9)

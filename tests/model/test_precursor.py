@@ -3,11 +3,11 @@
 import jax
 import numpy as np
 import pytest
+from chains import ended
 from oracles import dense_chain
 
 from slippulse_jax import Profile, Slider, SmoothBreak, first_precursor, precursor_length, precursor_lengths
 from slippulse_jax import lengths as bulk
-from slippulse_jax.bodies.modes import ENDLESS
 from slippulse_jax.bulk.chunks import over_lanes
 from slippulse_jax.front.front import Arrest
 from slippulse_jax.rules import HardBreak
@@ -19,9 +19,7 @@ from slippulse_jax.status import Outcome
 def test_fields_solve_the_chain(right):
     """u and u_t at every front position satisfy the matrix equations of the independent program."""
     n = 100
-    record = first_precursor(
-        Slider(25, 0.03, 0.3), right=right, sites=None if right == "semi-infinite" else n, recorded_sites=n
-    )
+    record = first_precursor(ended(Slider(25, 0.03, 0.3), n, right), recorded_sites=n)
     matrix = dense_chain.chain_matrix(25, 0.03, 0.3, n, right)
     for position in (0, 1, 13, int(record.contacts_broken)):
         fields = record.fields_at(position)
@@ -63,10 +61,6 @@ def test_record_under_vmap_and_what_it_refuses():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"right": "open"}, "right = 'open': must be one of 'semi-infinite', 'free', 'clamped'"),
-        ({"right": "free"}, "needs a number of sites"),
-        ({"right": "free", "sites": 1}, "sites = 1"),
-        ({"sites": 100}, "a semi-infinite chain has no number of sites"),
         ({"max_contacts": 0}, "max_contacts = 0"),
     ],
 )
@@ -124,7 +118,7 @@ def test_bulk_lengths_equal_the_recursion_everywhere():
     n = 3000
     sliders = Slider(1 + 10 ** rng.uniform(-1, 3.3, n), 10 ** rng.uniform(-8, 0, n), rng.uniform(-0.9, 0.5, n))
     columns = [sliders.height, sliders.stiffness, sliders.poisson]
-    kind = jax.tree.structure((Slider(25.0, 0.03, 0.3), None, HardBreak(), ENDLESS))
+    kind = jax.tree.structure((Slider(25.0, 0.03, 0.3), None, HardBreak()))
     general = over_lanes(bulk.general_arrest_kernel(kind, 10_000_000), columns, bulk.ANY)
     together, arrests = precursor_lengths(sliders), Arrest(*general)
     assert (arrests.status == Outcome.NO_DOMINO).any()

@@ -46,7 +46,7 @@ def test_derived_quantities_without_cancellation():
 def test_every_quantity_has_symbol_unit_and_label():
     marked = quantities(Slider)
     public = {name for name, value in vars(Slider).items() if isinstance(value, property) and not name.startswith("_")}
-    assert set(marked) == {"height", "stiffness", "poisson"} | (public - {"shape"})
+    assert set(marked) == {"height", "stiffness", "poisson"} | (public - {"shape", "sites"})
     for name, quantity in marked.items():
         assert quantity.symbol, name
         assert quantity.unit, name
@@ -130,9 +130,9 @@ def test_what_is_no_number_is_refused(bad):
         lambda: sp.Interface(bad),
         lambda: sp.Profile(np.ones(2), bad),
         lambda: exact_front_stress(slider, bad),
-        lambda: sp.precursor_length(slider, right="free", sites=bad),
+        lambda: Slider(25.0, 0.03, 0.3, length=bad if bad is not None else "x"),
         lambda: sp.chain(slider, sites=4, upper=bad if bad is not None else "x"),
-        lambda: sp.precursor_length(slider, machine=bad if bad is not None else "x"),
+        lambda: Slider(25.0, 0.03, 0.3, machine=bad if bad is not None else "x"),
     ]
     for call in calls:
         with pytest.raises((TypeError, ValueError)):

@@ -2,6 +2,7 @@
 
 import jax
 import matplotlib as mpl
+from chains import ended
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -70,7 +71,7 @@ class Made:
             state, site = nucleate(self.chain)
             self.rupture = rupture(self.chain, state, trigger=site)
             self.front, self.sensitivity = sp.first_precursor(SLIDER), sp.sensitivity(SLIDER, sites=60)
-            self.long = sp.chain(sp.Slider(10.0, 0.03, 0.3), sites=40, right="free")
+            self.long = sp.chain(ended(sp.Slider(10.0, 0.03, 0.3), 40))
             self.series = sp.series(self.long, events=60, recorded_breaks=2000)
             self.event = sp.first_precursor(sp.Block(20.0, 0.02, 0.3, sp.Push(0.4)))
             every = {"outputs": ["length", "status", "nucleation_load"], "progress": False}
@@ -190,7 +191,7 @@ def test_the_stiffness_axis_is_about_the_interval(worked):
 
 
 def test_the_largest_drops_of_the_force_are_marked():
-    catalogue = sp.series(sp.chain(sp.Slider(10.0, 0.03, 0.3), sites=40, right="free"), events=60)
+    catalogue = sp.series(sp.chain(ended(sp.Slider(10.0, 0.03, 0.3), 40)), events=60)
     drop = np.asarray(catalogue.force_before - catalogue.force_after)
     ax = plot.friction_curve(catalogue)
     marked = np.concatenate([line.get_xdata() for line in ax.lines if line.get_marker() == "."])

@@ -7,6 +7,7 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from chains import ended
 
 import slippulse_jax as sp
 from slippulse_jax import plot
@@ -72,7 +73,7 @@ def test_sensitivity(ax):
 
 def test_precursors_of_another_body_are_refused():
     """A short chain breaks to its end; one of fewer contacts cannot have had that event."""
-    long, short = (sp.chain(sp.Slider(10.0, 0.03, 0.3), sites=sites, right="free") for sites in (40, 20))
+    long, short = (sp.chain(ended(sp.Slider(10.0, 0.03, 0.3), sites)) for sites in (40, 20))
     catalogue = sp.series(long, events=10)
     reached = int(catalogue.extent.max())
     assert reached > 20

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from chains import ended
 
 import slippulse_jax as sp
 from slippulse_jax.bodies.response import of_matrix
@@ -53,13 +54,13 @@ def test_a_body_of_ones_own_is_taken_by_the_doors(prestress):
         return sp.precursor_length(eqx.tree_at(lambda x: x.stiffness, rows, stiffness), interface, sites=SITES)
 
     def expected(stiffness):
-        return sp.precursor_length(sp.Slider(25.0, stiffness, 0.3), interface, right="free", sites=SITES)
+        return sp.precursor_length(ended(sp.Slider(25.0, stiffness, 0.3), SITES), interface)
 
     at = jnp.asarray(0.03)
     assert length(at) == pytest.approx(float(expected(at)), rel=1e-8)
     assert jax.grad(length)(at) == pytest.approx(float(jax.grad(expected)(at)), rel=1e-5)
     found = sp.series(two_rows(slider), interface=interface, events=6, sites=SITES)
-    chain = sp.series(sp.chain(slider, sites=SITES, interface=interface, right="free"), events=6)
+    chain = sp.series(sp.chain(ended(slider, SITES), interface=interface), events=6)
     for name in ("load", "force_before", "force_after", "length", "site", "extent", "breaks"):
         np.testing.assert_allclose(getattr(found, name), getattr(chain, name), rtol=1e-7, err_msg=name)
     assert max(found.drift, found.energy_drift) < 1e-12

@@ -155,7 +155,7 @@ def test_every_output_can_be_chosen_and_every_set_names_outputs():
         ({"outputs": "smooth_length"}, "needs width"),
         ({"outputs": "dlength_dprestress"}, "needs prestress: give it, 0 for instance"),
         ({"outputs": "exact_length", "right": "free", "sites": 100}, "'exact_length' is for a semi-infinite chain"),
-        ({"right": "free"}, "needs a number of sites"),
+        ({"right": "free"}, "needs a length"),
         ({"points": True}, "points are given as arrays of one length, got no array"),
         ({"points": True, "height": [10.0, 20.0], "stiffness": [0.1]}, "arrays of one length"),
         ({"chunk": 0}, "chunk = 0"),

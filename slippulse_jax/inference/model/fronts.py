@@ -17,8 +17,9 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from slippulse_jax.block import RIGID, USUAL_NORMAL_STIFFNESS
-from slippulse_jax.bodies.modes import ENDLESS, NO_END, Ends, RightEnd
+from slippulse_jax.bodies.modes import FARTHEST as NO_END
 from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, distinct_rows, over_lanes
+from slippulse_jax.choices import RightEnd
 from slippulse_jax.derivatives import without_derivative
 from slippulse_jax.domains import FRICTION, check_choice
 from slippulse_jax.exact import crack
@@ -251,7 +252,7 @@ class Front:
 
         Traced, each of shape (count,).
         """
-        return readings(sliders(inputs, jnp.exp), inputs.prestress, stopped, count, ends_of(inputs, jnp.exp))
+        return readings(sliders(inputs, jnp.exp), inputs.prestress, stopped, count)
 
     def regime(self, inputs: Inputs) -> Regime:
         """Find b and 1/κ_2 of each row of the inputs."""
@@ -309,8 +310,7 @@ class FirstFront(Front):
 
     def length(self, inputs: Inputs, relaxed: bool) -> Array:
         """ℓ of one lane."""
-        slider, ends = sliders(inputs, jnp.exp), ends_of(inputs, jnp.exp)
-        return jnp.asarray(arrest(slider, _interface(inputs, relaxed), ends).length)
+        return jnp.asarray(arrest(sliders(inputs, jnp.exp), _interface(inputs, relaxed)).length)
 
     def evaluate(self, inputs: Inputs, along: Along = None) -> Predicted:
         """ℓ by the loop over lanes.
@@ -354,20 +354,18 @@ class FirstFront(Front):
         """`Outcome` of each front, by the recursion; shape (L,)."""
         distinct, own = distinct_rows(inputs.table())
         at = Inputs.from_table(inputs.names, distinct)
-        slider, interface, ends = recursion_inputs(at, is_relaxed(at))
-        return np.asarray(arrests(slider, interface, ends=ends).status)[own]
+        return np.asarray(arrests(*recursion_inputs(at, is_relaxed(at))).status)[own]
 
     def values(self, inputs: Inputs) -> np.ndarray:
         """Lengths alone, of fronts that run far in closed form, to rounding."""
-        slider, interface, ends = recursion_inputs(inputs, is_relaxed(inputs))
-        reach = self.reach(inputs)
-        far = reach > LONGEST if ends is ENDLESS else np.isinf(reach)
+        reach, ended = self.reach(inputs), {*ENDED} & {*inputs.names}
+        far = np.isinf(reach) if ended else reach > LONGEST
         if far.any() and not far.all():
             return _joined(far, *(self.values(inputs.take(here)) for here in (far, ~far)))
         if far.any():
             return reach if np.isinf(reach).all() else self.in_closed_form(inputs)
         most = self.most(inputs.log_height, inputs.names)[0]
-        return self.within_reach(inputs, bulk_lengths(slider, interface, ends=ends, max_contacts=most), most)
+        return self.within_reach(inputs, bulk_lengths(*recursion_inputs(inputs, is_relaxed(inputs)), max_contacts=most), most)
 
     def in_closed_form(self, inputs: Inputs) -> np.ndarray:
         """ℓ* of fronts without end; NotConverged names one that has none."""
@@ -482,7 +480,7 @@ class WholeEvent(Front):
         around = around._replace(log_stiffness=inputs.log_stiffness + NEARBY[:, None]).ravel()
         found = self.lengths(around)
         stops, off = np.isfinite(found), np.zeros(len(found))
-        slider, interface, _ = recursion_inputs(around.take(stops), is_relaxed(around))
+        slider, interface = recursion_inputs(around.take(stops), is_relaxed(around))
         off[stops] = bulk_lengths(slider, interface, event="full") - found[stops]
         off = np.where(np.isfinite(off), off, 0).reshape(len(NEARBY), -1)
         return np.sqrt(np.mean(off**2, axis=0))
@@ -1079,24 +1077,19 @@ def _rank(lanes: Lanes) -> np.ndarray:
 # --- what the recursion takes ------------------------------------------------------------------------------------------
 
 
-def recursion_inputs(inputs: Inputs, relaxed: bool) -> tuple[Slider, Interface | None, Ends]:
-    """Sliders, interfaces and ends for the recursion."""
-    return sliders(inputs), _interface(inputs, relaxed), ends_of(inputs)
+def recursion_inputs(inputs: Inputs, relaxed: bool) -> tuple[Slider, Interface | None]:
+    """Sliders and interfaces for the recursion."""
+    return sliders(inputs), _interface(inputs, relaxed)
 
 
 def sliders(inputs: Inputs, exp: Any = np.exp) -> Slider:
-    """Sliders of the inputs; of traced ones by JAX's ``exp``."""
-    return Slider(exp(inputs.log_height), exp(inputs.log_stiffness), inputs.poisson)
+    """Sliders of the inputs; of traced ones by JAX's ``exp``.
 
-
-def ends_of(inputs: Inputs, exp: Any = np.exp) -> Ends:
-    """Free end and machine.
-
-    Where there is none, one so far away, or so stiff, that no digit changes.
+    Where there is no end or machine, with one so far away, or so stiff, that no digit changes.
     """
     most = np.log(NO_END)
-    sites, machine = (exp(inputs.more[name].clip(max=most)) if name in inputs.more else None for name in ENDED)
-    return ENDLESS if sites is None and machine is None else Ends("semi-infinite" if sites is None else "free", sites, machine)
+    length, machine = (exp(inputs.more[name].clip(max=most)) if name in inputs.more else None for name in ENDED)
+    return Slider(exp(inputs.log_height), exp(inputs.log_stiffness), inputs.poisson, length=length, machine=machine)
 
 
 def _interface(inputs: Inputs, relaxed: bool) -> Interface | None:

@@ -6,15 +6,15 @@ one measurement.
 """
 
 from functools import partial
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from slippulse_jax.bodies.modes import lattice_modes
-from slippulse_jax.inference.model.fronts import Along, Front, Predicted, by_jax, ends_of, sliders
+from slippulse_jax.inference.model.fronts import Along, Front, Predicted, by_jax, sliders
 from slippulse_jax.inference.model.inputs import Input, Inputs
+from slippulse_jax.slider import Slider
 
 OF_GAUGES = {
     "log_position": Input("x/λc", -np.inf, np.inf, ""),  # ln of a gauge's distance from the pushed edge
@@ -29,7 +29,7 @@ largest the prediction is inf."""
 
 def displacement(front: Front, inputs: Inputs, relaxed: bool) -> Array:
     """Displacement of the pushed edge at nucleation, in u_s = f_s/k."""
-    return (1 - inputs.prestress) * lattice_modes(sliders(inputs, jnp.exp), _without_machine(inputs)).load
+    return (1 - inputs.prestress) * lattice_modes(_displaced(inputs)).load
 
 
 def force(front: Front, inputs: Inputs, relaxed: bool) -> Array:
@@ -37,16 +37,17 @@ def force(front: Front, inputs: Inputs, relaxed: bool) -> Array:
 
     It is the sum over the contacts, Σ_i Σ_m C_m y_m(i), a geometric series in each mode.
     """
-    ends = _without_machine(inputs)
-    modes = lattice_modes(sliders(inputs, jnp.exp), ends)
+    slider = _displaced(inputs)
+    modes = lattice_modes(slider)
     every = modes.drive / modes.gap
-    if ends.sites is not None:  # there and, from the free end, back again: 1 + r + … + r^{2N − 1}
-        every = every * -jnp.expm1(2 * ends.sites * jnp.log1p(-modes.gap))
+    if slider.length is not None:  # there and, from the free end, back again: 1 + r + … + r^{2N − 1}
+        every = every * -jnp.expm1(2 * slider.length * jnp.log1p(-modes.gap))
     return (1 - inputs.prestress) * every.sum()
 
 
-def _without_machine(inputs: Inputs) -> Any:
-    return ends_of(inputs.without("log_machine"), jnp.exp)
+def _displaced(inputs: Inputs) -> Slider:
+    """The slider whose edge is displaced, without its machine."""
+    return sliders(inputs.without("log_machine"), jnp.exp)
 
 
 def reading(which: int, front: Front, inputs: Inputs, relaxed: bool, sites: int) -> Array:
