@@ -16,6 +16,8 @@ from slippulse_jax.blocks.size import many, tall_lengths
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.inference.search.intervals import LEVELS
 
+SMALLEST = "2"
+
 SIGMA, SPECIMENS, POISSON = 0.02, 6, 0.3
 
 

@@ -24,6 +24,8 @@ from benchmarks.timing import side_by_side
 from slippulse_jax import Block, Push, Slider, exact_lengths, fit, precursor_length, precursor_lengths
 from slippulse_jax.bulk.compiler import compile_loops_whole
 
+SMALLEST = ""
+
 ROOT = Path(__file__).resolve().parent.parent
 LENGTHS = ROOT / "fit_examples" / "pmma_block" / "lengths.csv"
 

@@ -5,9 +5,10 @@ sent out from the broken site in both directions. *numba, whole* begins with the
 elimination, propagators, the equilibrium before the rupture, and the one after it as a check. *numba, breaks* is given
 propagators and stresses ready made, and *breaks alone* is the package's event given its response and the stresses.
 
-    python -m benchmarks cascade
+    python -m benchmarks cascade [sites …, 300 and 3000 by default]
 """
 
+import sys
 from functools import partial
 
 import jax
@@ -18,10 +19,13 @@ import numpy as np
 import slippulse_jax as sp
 from benchmarks.timing import side_by_side
 from slippulse_jax.bodies.chain import State, eliminate
-from slippulse_jax.bodies.response import of_chain, propagators
+from slippulse_jax.bodies.response import of_chain
 from slippulse_jax.bulk.compiler import compile_loops_whole, lane_by_lane
 from slippulse_jax.events.event import event
 from slippulse_jax.paper import FIG2
+
+SMALLEST = "100"
+SITES = 300, 3000
 
 compile_loops_whole()
 jax.config.update("jax_enable_x64", True)
@@ -77,7 +81,7 @@ def through(far_u, far_l, far_x, B, K):
 
 @numba.njit(cache=False)
 def whole(upper, layer, across, contact, end, threshold, k, load, max_breaks):
-    """A rupture from the springs of a chain that is relaxed: sites in order, stresses when it is over, by equilibrium."""
+    """A rupture from the springs of a chain that is relaxed: sites in order, stresses when it is over, propagators."""
     n = len(contact)
     right, P, Q, source = np.empty((n, 3)), np.zeros((n, 2, 2)), np.zeros((n, 2, 2)), np.empty((n, 2))
     right[n - 1] = end
@@ -120,7 +124,7 @@ def whole(upper, layer, across, contact, end, threshold, k, load, max_breaks):
         a, b = a + source[i, 0] * own, b + source[i, 1] * own
         a, b = Q[i, 0, 0] * a + Q[i, 0, 1] * b, Q[i, 1, 0] * a + Q[i, 1, 1] * b
         stress[i] = contact[i] / k * moved[i, 1] - released[i]
-    return order, stress
+    return order, stress, (P, Q, source)
 
 
 def order_of_breaks(stress, resp, chain):
@@ -128,14 +132,13 @@ def order_of_breaks(stress, resp, chain):
     return event(resp, stress[None], chain.threshold, limit=1000, log=log).order[:-1]
 
 
-def ruptures(sizes=(300, 3000), lanes=(1, 64)):
+def ruptures(sizes=SITES, lanes=(1, 64)):
     """Sites, lanes, breaks, and shortest times in s: of a rupture and of its breaks alone, by this package and by numba."""
     for n in sizes:
         c = sp.chain(FIG2, sites=n)
-        links = [np.asarray(x) for x in jax.jit(propagators)(c, jax.jit(eliminate)(c, c.contact))[:3]]
-        arrays = *links, np.asarray(c.contact), np.asarray(c.threshold)
         springs = [np.asarray(x) for x in (c.upper, c.layer, c.across, c.contact, np.stack(c.end), c.threshold)]
         every = partial(whole, *springs, float(c.stiffness))
+        arrays = *every(0.0, 1)[2], np.asarray(c.contact), np.asarray(c.threshold)
         resp = jax.jit(lambda c: of_chain(c, eliminate(c, c.contact)))(c)
         for count in lanes:
             loads = jnp.linspace(6.0, 8.0, count) if count > 1 else jnp.array([6.0])
@@ -153,7 +156,7 @@ def ruptures(sizes=(300, 3000), lanes=(1, 64)):
             for load, row, k, mine, left in zip(
                 loads, rows, np.atleast_1d(found.breaks), np.atleast_2d(found.order), after, strict=True
             ):
-                order, in_balance = every(float(load), 1000)
+                order, in_balance, _ = every(float(load), 1000)
                 np.testing.assert_array_equal(order, mine[:k])
                 np.testing.assert_array_equal(events(*arrays, row, 1000)[0], order)
                 np.testing.assert_allclose(in_balance, left, atol=1e-11)
@@ -169,16 +172,16 @@ def ruptures(sizes=(300, 3000), lanes=(1, 64)):
             yield n, count, int(found.breaks.sum()), taken["ours"], taken["alone"], taken["whole"], taken["breaks"]
 
 
-def main():
+def main(sizes):
     print(
         "| N | lanes | breaks | whole, ms | numba, whole, ms | breaks alone, ms | numba, breaks, ms | numba / whole | numba / breaks |"
     )
     print("|---|---|---|---|---|---|---|---|---|")
-    for n, lanes, breaks, ours, alone, whole, theirs in ruptures():
+    for n, lanes, breaks, ours, alone, whole, theirs in ruptures(sizes):
         times = (f"{1e3 * t:.3g}" for t in (ours, whole, alone, theirs))
         cells = n, lanes, breaks, *times, f"{whole / ours:.2f}", f"{theirs / alone:.2f}"
         print(f"| {' | '.join(map(str, cells))} |", flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    main([int(x) for x in sys.argv[1:]] or SITES)

@@ -25,6 +25,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 from oracles import dense_chain  # pyright: ignore[reportMissingImports]
 
+SMALLEST = "1"
+
 SIGMA, SPECIMENS, POISSON = 0.02, 3, 0.3
 
 

@@ -1,7 +1,9 @@
 """Equilibrium of a chain against scipy.linalg.solve_banded on the same matrix, in one run.
 
-python -m benchmarks equilibrium
+python -m benchmarks equilibrium [sites …, 100, 10⁴ and 10⁶ by default]
 """
+
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +13,8 @@ from scipy.linalg import solve_banded
 import slippulse_jax as sp
 from benchmarks.timing import side_by_side
 from slippulse_jax.paper import FIG2
+
+SMALLEST = "100"
 
 jax.config.update("jax_enable_x64", True)
 
@@ -39,11 +43,11 @@ def banded(chain, load):
     return bands, rhs
 
 
-def main():
+def main(sizes):
     solve = jax.jit(sp.equilibrium)
     print("| N | slippulse_jax, ms | solve_banded, ms | ratio | largest difference, u_s |")
     print("|---|---|---|---|---|")
-    for n in (100, 10**4, 10**6):
+    for n in sizes:
         rng = np.random.default_rng(0)
         c = sp.chain(FIG2, sites=n, contact=0.03 * rng.uniform(0.5, 1.5, n))
         state = c.relaxed(3.0)
@@ -63,4 +67,4 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    main([int(x) for x in sys.argv[1:]] or (100, 10**4, 10**6))

@@ -15,6 +15,8 @@ from benchmarks.rivals import parallel
 from benchmarks.timing import seconds
 from slippulse_jax import Slider, exact_lengths, precursor_lengths
 
+SMALLEST = "2000 200"
+
 POINTS, SAMPLE = 1_000_000, 20_000
 
 

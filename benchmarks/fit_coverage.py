@@ -22,6 +22,8 @@ from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.inference.search.intervals import LEVELS, Interval, calibrated
 
+SMALLEST = "1 --profile-only"
+
 SIGMA = 0.02  # of the length
 REGIMES = ("identifiable", "near-plateau")
 

@@ -1,6 +1,7 @@
 """Time of a fit by kind: the first in a process, compiling, and the next; writes docs/tables/fit_times.md.
 
-``python -m benchmarks fit_times`` runs each kind in a process of its own, without a cache of compiled programs.
+``python -m benchmarks fit_times`` runs each kind in a process of its own, without a cache of compiled programs; beginnings of kinds
+some of them, and writes nothing.
 """
 
 import json
@@ -11,6 +12,8 @@ from pathlib import Path
 
 import slippulse_jax as sp
 from benchmarks.timing import seconds
+
+SMALLEST = "lengths"
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "tables" / "fit_times.md"
@@ -39,23 +42,24 @@ KINDS = {
 def measure(kind: str) -> list[float]:
     """Times of the first and the next fit of a kind in s, in a process of its own."""
     environment = {name: value for name, value in os.environ.items() if "CACHE" not in name and name != "SLIPPULSE_PROGRAMS"}
-    command = [sys.executable, "-m", "benchmarks.fit_times", kind]
+    command = [sys.executable, "-m", "benchmarks.fit_times", "--here", kind]
     said = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=True).stdout
     return json.loads(said.splitlines()[-1])
 
 
-def main() -> None:
+def main(beginnings: list[str]) -> None:
     rows = ["| fit and report | first, s | again, s |", "|---|---|---|"]
-    for kind in KINDS:
+    for kind in [one for one in KINDS if one.startswith(tuple(beginnings or [""]))]:
         first, again = measure(kind)
         rows.append(f"| {kind} | {first:.2g} | {again:.2g} |")
         print(rows[-1], flush=True)
     rows += ["", f"On {os.cpu_count()} cores; the first compiles its programs. `python -m benchmarks fit_times` measures them."]
-    PAGE.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    if not beginnings:
+        PAGE.write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        print(json.dumps([seconds(KINDS[sys.argv[1]]) for _ in range(2)]))
+    if sys.argv[1:2] == ["--here"]:
+        print(json.dumps([seconds(KINDS[sys.argv[2]]) for _ in range(2)]))
     else:
-        main()
+        main(sys.argv[1:])

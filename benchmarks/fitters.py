@@ -30,6 +30,8 @@ from slippulse_jax.inference.search.intervals import LEVELS
 from slippulse_jax.inference.search.likelihood import make_problem
 from slippulse_jax.inference.search.minimise import minimise
 
+SMALLEST = "1"
+
 STARTS = np.log([1e-5, 1.0])
 REGIMES = ("three, identifiable", "three, near the plateau", "one, two roots", "one, above the ceiling")
 

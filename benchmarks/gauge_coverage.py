@@ -27,6 +27,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 from oracles import dense_chain  # pyright: ignore[reportMissingImports]
 
+SMALLEST = "5"
+
 LC, YOUNG, STRENGTH, POISSON = 1e-4, 3e9, 2e6, 0.3
 SIGMA = 0.05e-6, 0.06e6
 SITES = 120

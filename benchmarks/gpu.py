@@ -17,6 +17,8 @@ import slippulse_jax as sp
 from benchmarks.lengths import long_fronts, random_points
 from benchmarks.timing import in_turns
 
+SMALLEST = "'`precursor_lengths`, 2000 points' '`exact_lengths`, 2000 points' '`series` of 200 events on 300 sites'"
+
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "tables" / "gpu.md"
 MEASURED = ROOT / "fit_examples" / "pmma_block" / "lengths.csv"

@@ -19,6 +19,8 @@ import numpy as np
 import slippulse_jax as sp
 from benchmarks.fit_coverage import holds
 
+SMALLEST = "1 --heights 25 --b 1 --scatter 0.1"
+
 AROUND = np.array([0.64, 0.8, 1.0, 1.25, 1.5625])
 """Heights of a study, over the one in the middle."""
 POISSON, LOWEST, EVENTS, SHARE, SOFT = 0.3, 0.1, 600, 0.25, 4.0

@@ -1,9 +1,11 @@
 """Lengths in bulk: prints ratios, and writes benchmarks/lengths.json, docs/appendix/benchmarks.md and a figure.
 
 ``python -m benchmarks lengths`` runs everything; ``python -m benchmarks lengths points heights`` some parts, the others being
-taken from the file. Where other programs were running, the page says so.
+taken from the file. Where other programs were running, the page says so. With ``--most N`` batches are no larger, and nothing is
+written.
 """
 
+import argparse
 import json
 import os
 import platform
@@ -19,9 +21,11 @@ import numpy as np
 from benchmarks import rivals
 from benchmarks.timing import in_turns, side_by_side
 from slippulse_jax import Slider, precursor_length, precursor_lengths
-from slippulse_jax.bulk import chunks as batch
+from slippulse_jax.bulk import chunks
 from slippulse_jax.front import lanes
 from slippulse_jax.lengths import LENGTHS
+
+SMALLEST = "--most 1000"
 
 HERE = Path(__file__).resolve().parent
 RESULTS, PAGE, FIGURE = (
@@ -47,10 +51,11 @@ def long_fronts(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return height, b / (2 * (1 + nu) * height), nu
 
 
-def points() -> dict:
+def points(most: int) -> dict:
     """200 000 random points by every means there is."""
-    given = random_points(POINTS)
-    slider, out = Slider(*given), np.empty(POINTS)
+    count = min(POINTS, most)
+    given = random_points(count)
+    slider, out = Slider(*given), np.empty(count)
     length = precursor_lengths(slider)
     few = list(zip(*(x[:FEW] for x in given), strict=True))
     taken = in_turns(
@@ -68,7 +73,7 @@ def points() -> dict:
         vmapped = jax.jit(precursor_length)
         times |= side_by_side({"plain vmap of `precursor_length`": lambda: vmapped(slider).block_until_ready()}, 2)
     times |= {
-        name: seconds * POINTS / FEW
+        name: seconds * count / FEW
         for name, seconds in side_by_side(
             {
                 "SciPy, a banded solve per break": lambda: [rivals.banded(*point) for point in few],
@@ -81,28 +86,28 @@ def points() -> dict:
     return {"seconds": times, "medians": medians, "difference from numba": difference, "mean length": float(length.mean())}
 
 
-def heights() -> dict:
+def heights(most: int) -> dict:
     """Cost of one point against H/λc: by the recursion, and as the batch takes it; k/K = 1/(2.6 H/λc), so that b = 1."""
     found: dict = {"height": [], "contacts": [], "recursion": [], "batch": []}
-    for height in np.geomspace(1e2, 1e6, 5):
+    for height in [x for x in np.geomspace(1e2, 1e6, 5) if x <= max(most, 1e4)]:
         q = 1 / (2.6 * height)
-        one, n = np.array([[height], [q], [0.3]]), 64
+        one, n, batch = np.array([[height], [q], [0.3]]), 64, min(2048, most)
 
         def recursion(one: np.ndarray = one, n: int = n) -> object:
-            return batch.over_lanes(lanes.length_kernel(MAX_CONTACTS), np.repeat(one, n, axis=1), LENGTHS)
+            return chunks.over_lanes(lanes.length_kernel(MAX_CONTACTS), np.repeat(one, n, axis=1), LENGTHS)
 
-        many = Slider(np.full(2048, height), np.full(2048, q), np.full(2048, 0.3))
+        many = Slider(np.full(batch, height), np.full(batch, q), np.full(batch, 0.3))
         taken = side_by_side({"recursion": recursion}, 1 if height > 1e5 else 3)
         taken |= side_by_side({"batch": lambda many=many: precursor_lengths(many)}, 2)
         found["height"].append(float(height))
         found["contacts"].append(float(precursor_lengths(Slider(height, q, 0.3))))
         found["recursion"].append(taken["recursion"] / n)
-        found["batch"].append(taken["batch"] / 2048)
+        found["batch"].append(taken["batch"] / batch)
     slope = np.polyfit(np.log(found["contacts"][1:]), np.log(found["recursion"][1:]), 1)[0]
     return found | {"slope of the recursion": float(slope)}
 
 
-def counts() -> dict:
+def counts(most: int) -> dict:
     """Cost against the number of points, 1 to 10⁷: with all threads there are, and with one."""
     found: dict = {"points": [], "seconds": [], "one thread": []}
     cores = os.sched_getaffinity(0)
@@ -112,7 +117,7 @@ def counts() -> dict:
         precursor_lengths(slider)
         os.sched_setaffinity(0, cores)
 
-    for count in 10 ** np.arange(8):
+    for count in [10**power for power in range(8) if 10**power <= most]:
         slider = Slider(*random_points(count))
         both = {"seconds": lambda slider=slider: precursor_lengths(slider), "one thread": lambda slider=slider: alone(slider)}
         found["points"].append(int(count))
@@ -121,10 +126,10 @@ def counts() -> dict:
     return found
 
 
-def tall() -> dict:
+def tall(most: int) -> dict:
     """Points of H/λc = 10⁵ beside the recursion in numba on all cores; 20 000 and 200 of them, scaled to a million."""
     rng = np.random.default_rng(1)
-    n, few = 20_000, 200
+    n, few = min(20_000, most), min(200, most)
     q, nu = 10 ** rng.uniform(-6, -2, n), rng.uniform(0.1, 0.45, n)
     slider, out = Slider(np.full(n, 1e5), q, nu), np.empty(few)
     taken = side_by_side({"this package": lambda: precursor_lengths(slider)}, 2)
@@ -132,7 +137,7 @@ def tall() -> dict:
     return {"this package": taken["this package"] * 1e6 / n, "numba, all cores": taken["numba, all cores"] * 1e6 / few}
 
 
-def start() -> dict:
+def start(_: int) -> dict:
     """A new process: to the first length, to 200 000, again; and its memory at the end."""
     code = (
         "import time; began = time.perf_counter()\n"
@@ -268,15 +273,21 @@ def _others() -> float:
     return (os.cpu_count() or 1) * (1 - idle / max(total, 1))
 
 
-def main(given: list[str]) -> None:
+def main() -> None:
+    asked = argparse.ArgumentParser(description="Lengths in bulk.")
+    asked.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)}; all by default")
+    asked.add_argument("--most", type=int)
+    given = asked.parse_args()
     found = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
     busy = _others() > 0.1
     found["remark"] = " Other programs were running: trust ratios within a table, and no time by itself." if busy else ""
-    for name in given or PARTS:
-        found[name] = PARTS[name]()
-        print(name, json.dumps(found[name], indent=1))
+    for name in given.parts or PARTS:
+        found[name] = PARTS[name](given.most or 10**7)
+        print(name, json.dumps(found[name], indent=1), flush=True)
     found["machine"] = f"{os.cpu_count()} cores, {platform.machine()}, jax {jax.__version__}, no GPU"
     found["memory, MiB"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    if given.most:
+        return
     RESULTS.write_text(json.dumps(found, indent=1) + "\n")
     if {"points", "counts"} <= set(found):
         PAGE.write_text(page(found))
@@ -285,4 +296,4 @@ def main(given: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

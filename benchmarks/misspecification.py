@@ -18,6 +18,8 @@ import numpy as np
 import slippulse_jax as sp
 from benchmarks.fit_coverage import Share, holds
 
+SMALLEST = "1"
+
 HEIGHTS = np.array([12.0, 18.0, 25.0, 35.0, 50.0])
 STIFFNESS = np.geomspace(2e-3, 1e-2, 4)
 SIGMA, SITES = 0.02, 160

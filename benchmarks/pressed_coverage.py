@@ -23,6 +23,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "fit_examples"))
 
 import independent_block  # pyright: ignore[reportMissingImports]
 
+SMALLEST = "1"
+
 BLOCKS = [(48, 0.15, 1), (60, 0.2, 1), (72, 0.25, 1), (48, 0.2, 0.3), (60, 0.25, 0.35), (84, 0.3, 0.4)]
 """H/λc, and from where to where over H the side is pushed."""
 B, POISSON, NORMAL, LONG = (0.5, 0.7, 1.0, 1.4, 2.0), 0.3, 1.2, 3

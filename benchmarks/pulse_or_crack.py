@@ -18,6 +18,8 @@ from scipy.special import chdtrc
 import slippulse_jax as sp
 from slippulse_jax.inference.result.samples import refitted
 
+SMALLEST = "2 --b 1"
+
 HEIGHT, POISSON, SIGMA, LEVEL, SITES = np.geomspace(200, 2000, 6), 0.3, 0.02, 0.05, 4096
 FRICTIONS, NEWBORN = (0.1, 0.3, 0.5, 0.7), (0.6, 0.4, 0.2)
 

@@ -23,6 +23,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 from oracles.dense_chain import responses  # pyright: ignore[reportMissingImports]
 
+SMALLEST = "1"
+
 STIFFNESS, POISSON, SITES = 0.03, 0.3, 128
 HEIGHTS = np.linspace(5, 30, 8)
 LONGEST = 60.0

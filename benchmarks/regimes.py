@@ -18,6 +18,8 @@ from benchmarks.fit_coverage import Share, holds
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.inference.search.intervals import LEVELS
 
+SMALLEST = "--studies 1"
+
 YOUNG, LAMBDA = 3e9, 1e-5  # Pa, m
 
 

@@ -34,6 +34,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "fit_examples"))
 import independent_block  # pyright: ignore[reportMissingImports]
 import independent_sequence  # pyright: ignore[reportMissingImports]
 
+SMALLEST = "--studies 1"
+
 HEIGHT, YOUNG, POISSON, NORMAL, LOAD, WIDTH, PUSHER = 30.0, 3.0, 0.3, 1.2, 1000.0, 10.0, 0.1  # mm, GPa, N; k_n/k; over H
 OF_FORCE, OF_PLACE, OF_ARREST, SCATTER = 0.01, 0.005, 0.03, 0.05
 PLACES = np.linspace(0.1, 0.95, 10)

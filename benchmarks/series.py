@@ -17,6 +17,8 @@ from slippulse_jax.bodies.chain import State, eliminate
 from slippulse_jax.bodies.response import of_chain
 from slippulse_jax.bulk.compiler import compile_loops_whole
 
+SMALLEST = "--sites 100 --events 50 --batch 2 --batch-events 20 --threads 2"
+
 
 @njit(cache=True)
 def event_loop(green, per_load, events):

@@ -72,7 +72,7 @@ def command(
 
     from slippulse_jax.bodies.chain import chain
     from slippulse_jax.events.ageing import Ageing
-    from slippulse_jax.events.catalogue import with_units
+    from slippulse_jax.events.catalogue import heading
     from slippulse_jax.events.series import Adiabatic, Spring, Steps, series
     from slippulse_jax.files import write_atomically
     from slippulse_jax.slider import Slider
@@ -93,15 +93,15 @@ def command(
         except ValueError as error:
             refuse(error)
         status = Outcome(int(found.status))
-        rows = with_units(found.to_dataframe()).to_csv(na_rep="nan", lineterminator="\n")
+        text = found.to_dataframe().rename(columns=heading).to_csv(na_rep="nan", lineterminator="\n")
         if out is not None:
-            write_atomically(out, rows.encode())
+            write_atomically(out, text.encode())
         if figure is not None:
             _draw(found, figure)
         if as_json:
             print_json({"status": status.name.lower(), **found.table()})
         elif out is None:
-            click.echo(rows, nl=False)
+            click.echo(text, nl=False)
     click.echo(status.message, err=True)
     if status == Outcome.LIMIT:
         click.get_current_context().exit(NOT_CONVERGED)

@@ -82,7 +82,7 @@ class Catalogue(NamedTuple):
             [str(event), *(x if isinstance(x, str) else f"{x:g}" for x in row)]
             for event, row in zip(frame.index, frame.itertuples(index=False), strict=True)
         ]
-        return html("Catalogue of events", rows, ["event", *with_units(frame)], Outcome(int(self.status)).message)
+        return html("Catalogue of events", rows, ["event", *map(heading, frame)], Outcome(int(self.status)).message)
 
     def to_dataframe(self) -> "pd.DataFrame":
         """Return the events as a pandas.DataFrame, with classes in words and ``attrs["units"]``; pandas writes it."""
@@ -177,6 +177,6 @@ COLUMNS = {
 """Columns of a catalogue and their units."""
 
 
-def with_units(frame: "pd.DataFrame") -> "pd.DataFrame":
-    """Name the columns of a catalogue's DataFrame with their units."""
-    return frame.rename(columns={name: f"{name} ({unit})" for name, unit in COLUMNS.items() if unit != "1"})
+def heading(name: str) -> str:
+    """Name of a column with its unit."""
+    return name if COLUMNS[name] == "1" else f"{name} ({COLUMNS[name]})"
