@@ -34,9 +34,7 @@ still breaks, the front never stops.
 
 Notes
 -----
-`advance` and `stress_ahead` use only sums and products and the leading axis of the modes. So they also take the NumPy arrays
-of single numbers of the loop over lanes (`slippulse_jax.front.lanes`). Q is carried, rather than r_m^s, because its tangent
-costs two products per number.
+Q is carried, rather than r_m^s, because its tangent costs two products per number.
 """
 
 from collections.abc import Callable, Sequence
@@ -144,23 +142,6 @@ def advance(guide: Any, front: Front, released: Any, echo: Any = None, start: An
         reach = reach - gap * reach
     lost = gap * (stress if start is None else start + stress)
     return Front(stress - lost, Q - both * Q, reach, front.position + 1, edge)
-
-
-def taken_back(
-    guide: Any, front: Front, prestress: Any, echo: Callable[[Any], Any], inverse: Callable[[Any], Any]
-) -> tuple[Front, Any]:
-    """Undo `advance`: the front before the last contact broke, and the stress under which that broke as a whole.
-
-    A guide is anything with a `weight` and a `growth` 1/r_m; `echo` gives e_m at a position, and `inverse` 1/x of an array.
-    Each step back loses the digits of r_m.
-    """
-    position = front.position - 1
-    growth, e = guide.growth, echo(position)
-    Q, before = growth[:, None] * growth[None] * front.reflected, growth * front.stress
-    per_stress = guide.weight + (Q if e is None else Q * e[None]).sum(1)
-    seen, own = (x if e is None else e * x for x in (before, per_stress))
-    released = (prestress + seen.sum(0, keepdims=True)) * inverse(1 + own.sum(0, keepdims=True))
-    return Front(before - per_stress * released, Q, None, position), released
 
 
 # --- where a front ends ------------------------------------------------------------------------------------------------

@@ -13,18 +13,20 @@ from oracles.lattice_mp import Chain
 from problems import PAPER, REFERENCE
 
 from slippulse_jax import Slider, first_precursor, precursor, precursor_length, precursor_lengths
-from slippulse_jax.bodies.modes import lattice_modes
+from slippulse_jax.bodies.modes import FARTHEST, lattice_modes
 from slippulse_jax.exact.front import exact_front_stress, exact_length
+from slippulse_jax.front import lanes
 from slippulse_jax.front.arrest import FrontNotArrested, arrest
 from slippulse_jax.front.front import (
     REACHED,
     Front,
     advance,
+    echo_at,
     end_of_front,
     front_stress,
+    nucleate,
     slowest_approach,
     stress_ahead,
-    taken_back,
 )
 from slippulse_jax.lengths import arrests
 from slippulse_jax.status import Outcome
@@ -234,7 +236,6 @@ def test_float32_on_soft_interfaces(float32):
 class Guide(NamedTuple):
     gap: Any
     weight: Any
-    growth: Any = None
 
 
 @pytest.mark.ci
@@ -287,19 +288,30 @@ def test_curves_of_every_degree_and_their_ends():
     assert few[0] == few[1]
 
 
-def test_the_recursion_run_back():
-    """The front before the last break, and the stress released by it."""
-    modes = lattice_modes(Slider(*PAPER.slider))
-    guide = Guide(modes.gap, modes.weight, 1 / (1 - modes.gap))
-    fronts, stresses = [Front(modes.drive, modes.reflection, None, jnp.int32(0))], []
+@pytest.mark.parametrize("end", [{}, {"length": 12.0}, {"length": 12.5, "right": "clamped", "machine": 0.3}])
+def test_the_step_of_a_lane_is_that_of_any_front_and_can_be_undone(end):
+    """It is written twice, in arrays of modes and in single numbers; the latter is run back from the end."""
+    modes, contacts = lattice_modes(Slider(*PAPER.slider, **end)), (0.2, 0.01)
+    more = (end["length"], end.get("machine", FARTHEST)) if end else ()
+    given = (jnp.asarray(x, float) for x in (np.inf, *PAPER.slider, *contacts, *more))
+    lane, state = lanes._begun((*given,), end.get("right", "free"), with_edge=True)
+    front = advance(modes, nucleate(modes, 1 - contacts[0]), jnp.ones(()), echo_at(modes, jnp.int32(0)))
+    states, stresses = [], []
     for _ in range(8):
-        stresses.append(stress_ahead(fronts[-1])[0] if stresses else jnp.ones(()))
-        fronts.append(advance(guide, fronts[-1], stresses[-1]))
-    now = fronts.pop()
-    while fronts:
-        now, released = taken_back(guide, now, 0.0, lambda _: None, lambda x: 1 / x)
-        assert abs(released[0] - stresses.pop()) < 1e-14
-        np.testing.assert_allclose(now.stress, fronts.pop().stress, rtol=0, atol=1e-14)
+        (q11, q12, q22), (*reach, edge) = state.reflected, state.edge
+        for one, other in zip(front, (state.stress, [[q11, q12], [q12, q22]], reach, state.position, [edge]), strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-13, atol=1e-15)
+        echo, (stress, excess) = echo_at(modes, front.position), lanes._stress_and_excess(lane, state)
+        np.testing.assert_allclose(stress, contacts[0] + stress_ahead(front, echo)[0], rtol=1e-13)
+        np.testing.assert_allclose(stress - excess, 1 + contacts[1] * front.position, rtol=1e-13)
+        states.append(state)
+        stresses.append(stress)
+        state, front = lanes.advance(lane, state, stress), advance(modes, front, stress, echo)
+    while states:
+        state, released = lanes.taken_back(lane, state)
+        assert abs(released - stresses.pop()) < 1e-14
+        for one, other in zip(state[:3], states.pop()[:3], strict=True):
+            np.testing.assert_allclose(one, other, rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize(("slider", "sites"), [(PAPER.slider, 1500), ((2.0, 2.0, 0.1), 60)])
