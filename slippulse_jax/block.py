@@ -3,6 +3,8 @@
 Lengths are in λc, stiffnesses in K = Eλc, contact stretches in u_s = f_s/k, hence stresses in σ_s, as for a slider.
 """
 
+import functools
+import operator
 from collections.abc import Container
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,8 +14,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.choices import ContactLaw, Control, Top
-from slippulse_jax.domains import (
+from slippulse_jax.base.choices import ContactLaw, Control, Top
+from slippulse_jax.base.domains import (
     FRICTION,
     HEIGHT,
     MACHINE,
@@ -25,9 +27,9 @@ from slippulse_jax.domains import (
     check_kind,
     check_whole,
 )
-from slippulse_jax.shown import html, in_a_line, short
+from slippulse_jax.base.shown import html, in_a_line, short
+from slippulse_jax.base.units import Numbers, as_float, machine_ratio, quantity_field
 from slippulse_jax.slider import Real, Slider, from_si
-from slippulse_jax.units import Numbers, as_float, machine_ratio, quantity_field
 
 if TYPE_CHECKING:
     from slippulse_jax.events.first import Relaxed
@@ -43,6 +45,10 @@ RIGID = 1e12
 MOST_CONTACTS = 2**13
 """Largest number of contacts resolved of a block, whose response is a matrix of that size."""
 LENGTH = Domain(2, 2**31 - 1, "a block is at least two contacts long, and less than 2**31 - 1", closed="low")
+_DOMAIN = {
+    "height": HEIGHT, "stiffness": STIFFNESS, "poisson": POISSON,
+    "normal_stiffness": NORMAL_STIFFNESS, "friction": FRICTION, "machine": MACHINE,
+}  # fmt: skip
 OF_SIDE = Domain(0, 1, "must lie in (0, 1): a part of the height of the block")
 
 
@@ -231,13 +237,10 @@ class Block(eqx.Module):
         if self.friction is None and self.contact_law != "amontons":
             raise ValueError(f"Block.contact_law = {self.contact_law!r}: says what follows the pressure: give friction too")
         check_kind("Block.push", self.push, Push)
-        domains = {"height": HEIGHT, "stiffness": STIFFNESS, "poisson": POISSON, "normal_stiffness": NORMAL_STIFFNESS}
-        domains |= {"friction": FRICTION, "machine": MACHINE}
-        for name, domain in domains.items():
+        for name, domain in _DOMAIN.items():
             value = getattr(self, name)
-            if value is None:
-                continue
-            domain.check(f"Block.{name}", value)
+            if value is not None:
+                domain.check(f"Block.{name}", value)
         if self.machine is not None and self.push.control == "force":
             raise ValueError("Block.machine beside push.control = 'force': a machine displaces the pusher")
         if self.plane == "strain" and not isinstance(self.poisson, Tracer) and np.any(self.poisson == 0.5):
@@ -299,6 +302,11 @@ class Block(eqx.Module):
             of_both = ("machine_stiffness", machine_stiffness), ("young", young)
             machine = machine_ratio(*(as_float(f"Block.from_material: {name}", x, "Pa") for name, x in of_both))
         return cls(height, stiffness, poisson, push, plane, whole, normal_stiffness, friction, contact_law, top, machine)
+
+    def in_domain(self) -> Array:
+        """Whether the values, traced ones too, are those of a block."""
+        given = ((getattr(self, name), domain) for name, domain in _DOMAIN.items())
+        return functools.reduce(operator.and_, (domain.holds(jnp.asarray(x)) for x, domain in given if x is not None))
 
     def __repr__(self) -> str:
         return in_a_line(self)

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from slippulse_jax.shown import in_a_line, listed
+from slippulse_jax.base.shown import in_a_line, listed
 
 if TYPE_CHECKING:
     from slippulse_jax.block import Block
@@ -78,8 +78,8 @@ class Experiment:
         ValueError
             If numbers are missing, all of which it names; or if one lies outside its domain.
         """
+        from slippulse_jax.base.domains import Domain
         from slippulse_jax.block import Block
-        from slippulse_jax.domains import Domain
 
         numbers = {name: getattr(self, name) for name in NEEDED} | given
         held = given.get("machine_stiffness", ...) is None  # nothing depends on the width

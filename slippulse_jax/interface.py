@@ -13,9 +13,9 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
-from slippulse_jax.domains import PRESTRESS, THRESHOLD, THRESHOLD_SLOPE, check_domain
-from slippulse_jax.shown import in_a_line
-from slippulse_jax.units import Numbers, as_float, quantity_field
+from slippulse_jax.base.domains import PRESTRESS, THRESHOLD, THRESHOLD_SLOPE, check_domain
+from slippulse_jax.base.shown import in_a_line
+from slippulse_jax.base.units import Numbers, as_float, quantity_field
 
 
 def check_bulk(interface: "Interface | None") -> None:

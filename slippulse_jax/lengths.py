@@ -12,23 +12,30 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from slippulse_jax.base.choices import EventKind
+from slippulse_jax.base.domains import Domain, check_choice, check_kind
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.blocks.size import coarser, extrapolated
 from slippulse_jax.bodies.modes import FARTHEST
 from slippulse_jax.bodies.response import MOST_SITES
 from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, over_lanes
-from slippulse_jax.derivatives import with_gradient, with_jacobian
-from slippulse_jax.domains import Domain, check_kind
+from slippulse_jax.bulk.derivatives import with_gradient, with_jacobian
 from slippulse_jax.events.event import MORE_SITES
 from slippulse_jax.events.first import length as whole_length
 from slippulse_jax.exact import bulk as exact_lanes
 from slippulse_jax.exact.crossing import expected_length
 from slippulse_jax.front import lanes
-from slippulse_jax.front.arrest import arrest, check_max_contacts, report_without_length
-from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, Arrest, EventKind, LengthDerivatives, check_event
+from slippulse_jax.front.arrest import (
+    DEFAULT_MAX_CONTACTS,
+    Arrest,
+    LengthDerivatives,
+    arrest,
+    check_max_contacts,
+    report_without_length,
+)
 from slippulse_jax.interface import Interface, check_bulk
 from slippulse_jax.rules import HARD, BreakRule, HardBreak, check_rule
 from slippulse_jax.slider import Slider
-from slippulse_jax.status import Outcome
 
 LENGTHS, WITH_MORE, ENDED = Layout(few=64, worth_a_thread=16), Layout(), Layout(chunk=504)
 ANY = Layout(chunk=256, fusion_emitters=False)
@@ -116,7 +123,7 @@ def lengths(
     derivatives: int = 0,
 ) -> Any:
     """`precursor_lengths` without warnings."""
-    check_event(event)
+    check_choice("event", event, EventKind)
     check_rule(rule)
     if event == "full":
         return whole_lengths(slider, interface, rule, max_contacts, derivatives)

@@ -15,6 +15,11 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.base.choices import EventKind
+from slippulse_jax.base.domains import check_choice, check_kind, check_single, check_whole
+from slippulse_jax.base.shown import html, in_a_line, short
+from slippulse_jax.base.status import Outcome
+from slippulse_jax.base.units import at_least_single
 from slippulse_jax.block import Block
 from slippulse_jax.blocks import size
 from slippulse_jax.blocks.event import BlockPrecursor
@@ -24,25 +29,21 @@ from slippulse_jax.bodies.modes import (
     equilibrium_fields,
     lattice_modes,
 )
+from slippulse_jax.bulk.derivatives import under_grad_too
 from slippulse_jax.bulk.double import is_traced
-from slippulse_jax.derivatives import under_grad_too
-from slippulse_jax.domains import check_kind, check_single, check_whole
 from slippulse_jax.events import first
 from slippulse_jax.front import front
 from slippulse_jax.front.arrest import (
+    DEFAULT_MAX_CONTACTS,
     arrest,
     check_max_contacts,
     quantity,
     report_without_length,
 )
-from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, EventKind, check_event
 from slippulse_jax.interface import AnyInterface, Interface, Profile
 from slippulse_jax.lengths import whole_lengths
 from slippulse_jax.rules import HARD, BreakRule, HardBreak, check_rule
-from slippulse_jax.shown import html, in_a_line, short
 from slippulse_jax.slider import Slider
-from slippulse_jax.status import Outcome
-from slippulse_jax.units import at_least_single
 
 FLOAT32_HEIGHT = 1000.0
 """Largest H/λc for which single precision is taken without a warning: see `precursor_length`."""
@@ -185,7 +186,7 @@ def precursor_length(
     if not hasattr(slider, "contacts"):
         check_kind("slider", slider, Slider, Block)
     check_kind("interface", interface, Interface, Profile, NoneType)
-    check_event(event)
+    check_choice("event", event, EventKind)
     if not isinstance(slider, Slider):
         _check_of_block(max_contacts=max_contacts)
         check_rule(rule, one=True)
@@ -284,7 +285,7 @@ def first_precursor(
     """
     check_kind("slider", slider, Slider, Block)
     check_kind("interface", interface, Interface, Profile, NoneType)
-    check_event(event)
+    check_choice("event", event, EventKind)
     if recorded_sites is not None:
         check_whole("recorded_sites", recorded_sites, 1)
     if isinstance(slider, Block):

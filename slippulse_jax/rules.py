@@ -11,8 +11,8 @@ from jax.nn import sigmoid
 from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
-from slippulse_jax.domains import Domain
-from slippulse_jax.units import quantity_field
+from slippulse_jax.base.domains import Domain
+from slippulse_jax.base.units import quantity_field
 
 WIDTH = Domain(1e-6, 1, "must lie in [1e-6, 1], in σ_s", closed="both")
 

@@ -3,6 +3,8 @@
 Lengths are in λc, stiffnesses in K = Eλc (label cra04), contact stretches in u_s = f_s/k, hence stresses in σ_s.
 """
 
+import functools
+import operator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
@@ -11,10 +13,20 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.choices import RightEnd
-from slippulse_jax.domains import CORRELATION_LENGTH, HEIGHT, MACHINE, POISSON, SITES, STIFFNESS, YOUNG, Domain, check_choice
-from slippulse_jax.shown import html, in_a_line, short
-from slippulse_jax.units import Numbers, as_float, at_least_single, quantity, quantity_field
+from slippulse_jax.base.choices import RightEnd
+from slippulse_jax.base.domains import (
+    CORRELATION_LENGTH,
+    HEIGHT,
+    MACHINE,
+    POISSON,
+    SITES,
+    STIFFNESS,
+    YOUNG,
+    Domain,
+    check_choice,
+)
+from slippulse_jax.base.shown import html, in_a_line, short
+from slippulse_jax.base.units import Numbers, as_float, at_least_single, quantity, quantity_field
 
 if TYPE_CHECKING:
     from slippulse_jax.events.first import Relaxed
@@ -113,6 +125,12 @@ class Slider(eqx.Module):
         except ValueError:
             shapes = ", ".join(f"{name} {np.shape(getattr(self, name))}" for name in _DOMAIN if getattr(self, name) is not None)
             raise ValueError(f"the fields of a Slider must broadcast together: {shapes}") from None
+
+    def in_domain(self) -> Array:
+        """Whether the values, traced ones too, are those of a slider."""
+        given = [(name, jnp.asarray(x)) for name in _DOMAIN if (x := getattr(self, name)) is not None]
+        held = (_DOMAIN[name].holds(x) | (x == jnp.inf) & (name in ("length", "machine")) for name, x in given)
+        return functools.reduce(operator.and_, held)
 
     @classmethod
     def from_material(

@@ -21,6 +21,7 @@ import numpy as np
 from click.testing import CliRunner
 
 import slippulse_jax as sp
+from slippulse_jax.base.status import NotConverged, Outcome
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.cli.main import slippulse
 from slippulse_jax.exact.bulk import exact_fronts
@@ -28,7 +29,6 @@ from slippulse_jax.front.front import runaway_prestress
 from slippulse_jax.inference.result.record import from_request, read_request
 from slippulse_jax.inference.table.measurements import read_gauges
 from slippulse_jax.lengths import arrests
-from slippulse_jax.status import NotConverged, Outcome
 from slippulse_jax.sweeps.store import StoreError
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -11,7 +11,7 @@ import hypothesis
 import numpy as np
 from hypothesis import strategies as st
 
-from slippulse_jax import domains
+from slippulse_jax.base import domains
 
 # the same examples in every run, and no state between runs
 hypothesis.settings.register_profile("same", derandomize=True, deadline=None, database=None, max_examples=25)

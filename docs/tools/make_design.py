@@ -4,7 +4,7 @@ import io
 from pathlib import Path
 
 import slippulse_jax as sp
-from slippulse_jax.files import write_atomically
+from slippulse_jax.base.files import write_atomically
 
 FIRST = sp.Measurements(height=25.0, poisson=0.3, length=25.9, length_sigma=0.1)
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 import slippulse_jax as sp
 from slippulse_jax import theory
-from slippulse_jax.files import write_atomically
+from slippulse_jax.base.files import write_atomically
 from slippulse_jax.plot.labels import AGAIN
 from slippulse_jax.plot.style import LIGHT
 

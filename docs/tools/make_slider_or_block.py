@@ -12,7 +12,7 @@ from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 
 import slippulse_jax as sp
-from slippulse_jax.files import write_atomically
+from slippulse_jax.base.files import write_atomically
 from slippulse_jax.inference.model.family import Families
 from slippulse_jax.inference.model.inputs import Inputs
 

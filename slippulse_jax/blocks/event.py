@@ -18,6 +18,9 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.base.choices import EventKind
+from slippulse_jax.base.shown import in_a_line
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.block import Block
 from slippulse_jax.blocks import elements
 from slippulse_jax.blocks import guide as waveguide
@@ -25,12 +28,8 @@ from slippulse_jax.blocks.guide import Edge, Guide, Slab
 from slippulse_jax.blocks.pressed import under_pressure
 from slippulse_jax.bodies.response import of_matrix
 from slippulse_jax.bulk.double import in_double
-from slippulse_jax.domains import FRICTION, NORMAL_STIFFNESS
 from slippulse_jax.events.first import Relaxed, ended, first_event, nucleated
-from slippulse_jax.front.front import EventKind, in_domain
 from slippulse_jax.interface import AnyInterface, Profile
-from slippulse_jax.shown import in_a_line
-from slippulse_jax.status import Outcome
 
 
 class BlockPrecursor(eqx.Module):
@@ -101,9 +100,7 @@ def contacts_of(block: Block, interface: AnyInterface, sites: int, bare: tuple[E
     site = jnp.arange(sites, dtype=threshold.dtype)
     if interface is not None:
         threshold, prestress = (x.astype(threshold.dtype) for x in (interface.threshold_at(site), interface.prestress_at(site)))
-    valid = in_domain(block)
-    for value, domain in ((block.normal_stiffness, NORMAL_STIFFNESS), (block.friction, FRICTION)):
-        valid = valid if value is None else valid & domain.holds(value)
+    valid = block.in_domain()
     found = Relaxed(response, threshold, prestress, k, last, valid, pressed=body, alike=not isinstance(interface, Profile))
     return found if block.machine is None else found.through(block.machine)
 

@@ -22,22 +22,22 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from slippulse_jax.base.choices import EventKind
+from slippulse_jax.base.domains import check_whole
+from slippulse_jax.base.status import NotConverged, Outcome
 from slippulse_jax.block import MOST_CONTACTS, USUAL_NORMAL_STIFFNESS, Block, ContactLaw, Control, Push, Top, checked_sites
 from slippulse_jax.blocks import event as blocks
 from slippulse_jax.blocks.event import BlockPrecursor
 from slippulse_jax.bodies.response import MOST_SITES
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
+from slippulse_jax.bulk.derivatives import known, under_grad_too
 from slippulse_jax.bulk.double import in_double
-from slippulse_jax.derivatives import known, under_grad_too
-from slippulse_jax.domains import check_whole
 from slippulse_jax.events import first
 from slippulse_jax.events.event import MORE_SITES
 from slippulse_jax.events.first import length_of
-from slippulse_jax.front.front import EventKind
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.rules import HARD, BreakRule, HardBreak
 from slippulse_jax.slider import Slider
-from slippulse_jax.status import NotConverged, Outcome
 
 FEWEST_CONTACTS, FIRST_TRIAL = 64, 512
 """Smallest number of contacts resolved, and most of them in the first trial, which reaches over one height."""

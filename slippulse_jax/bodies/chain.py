@@ -20,10 +20,10 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
-from slippulse_jax.domains import check_domain, check_kind, check_single, check_whole
+from slippulse_jax.base.domains import check_domain, check_kind, check_single, check_whole
+from slippulse_jax.base.units import as_float, at_least_single, quantity_field
 from slippulse_jax.interface import AnyInterface, Interface, Profile
 from slippulse_jax.slider import Slider
-from slippulse_jax.units import as_float, at_least_single, quantity_field
 
 if TYPE_CHECKING:
     from slippulse_jax.events.first import Relaxed

@@ -14,9 +14,9 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.base.domains import check_kind
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.chain import Chain, Pair, Springs, State, eliminate, floats, respond
-from slippulse_jax.domains import check_kind
-from slippulse_jax.status import Outcome
 
 T = TypeVar("T")
 

@@ -25,8 +25,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from slippulse_jax.base.choices import RightEnd
 from slippulse_jax.bulk.compiler import in_full
-from slippulse_jax.choices import RightEnd
 from slippulse_jax.slider import Slider, of_one_type
 
 Number = Float[Array, "..."]

@@ -26,8 +26,8 @@ from jax import lax
 from jax.stages import Compiled
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.base.process import check_process
 from slippulse_jax.bulk.compiler import check_jit, compiled, local_devices
-from slippulse_jax.bulk.process import check_process
 
 Kernel = Callable[[Float[Array, "fields lanes"]], tuple[Array, ...]]
 """Results of a chunk of lanes, each with the lanes last. No lane may depend on another.

@@ -26,7 +26,7 @@ import numpy as np
 from jax.experimental import serialize_executable
 from jax.stages import Compiled, Lowered
 
-from slippulse_jax.files import read_whole, write_atomically
+from slippulse_jax.base.files import read_whole, write_atomically
 
 FOLDER = "SLIPPULSE_PROGRAMS"
 """Environment variable that names the folder; ``slippulse`` sets it to one in the user's cache."""

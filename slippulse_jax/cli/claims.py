@@ -13,7 +13,7 @@ from slippulse_jax.cli.shared import as_json, page_path, print_json, refuse
 @as_json
 def command(numbers: tuple[str, ...], write: Path | None, as_json: bool) -> None:
     """Measure the paper's claims, and report whether each holds."""
-    from slippulse_jax.files import write_atomically
+    from slippulse_jax.base.files import write_atomically
     from slippulse_jax.paper.claims import examine, page
 
     results = []

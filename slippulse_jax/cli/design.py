@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slippulse_jax.choices import EventKind
+from slippulse_jax.base.choices import EventKind
 from slippulse_jax.cli.shared import (
     VALUES,
     Grouped,

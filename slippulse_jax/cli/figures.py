@@ -2,8 +2,8 @@
 
 import click
 
+from slippulse_jax.base.files import FIGURE_FORMATS
 from slippulse_jax.cli.shared import as_json, print_json
-from slippulse_jax.files import FIGURE_FORMATS
 
 FIGURES = ("fig2", "fig3")
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import slippulse_jax
-from slippulse_jax.choices import did_you_mean
+from slippulse_jax.base.choices import did_you_mean
 from slippulse_jax.cli.shared import (
     NOT_CONVERGED,
     Grouped,

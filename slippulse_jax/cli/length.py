@@ -148,10 +148,9 @@ def _in_sites(block_length_mm: float, sites: int | None, correlation_length_um: 
 def _of_slider(slider: "Slider") -> dict[str, Any]:
     import jax
 
+    from slippulse_jax.base.status import NotConverged, Outcome
     from slippulse_jax.bodies.modes import lattice_modes
-    from slippulse_jax.front.arrest import arrest
-    from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS
-    from slippulse_jax.status import NotConverged, Outcome
+    from slippulse_jax.front.arrest import DEFAULT_MAX_CONTACTS, arrest
 
     ended, load = jax.jit(  # one program: op by op JAX would compile sixty
         lambda slider: (arrest(slider), lattice_modes(slider).load)

@@ -13,9 +13,9 @@ from typing import Any
 
 import click
 
+from slippulse_jax.base.status import NotConverged
 from slippulse_jax.cli.cache import compile_everything_anew, delete_unreadable, keep_compiled_programs
 from slippulse_jax.cli.shared import FAILURE, INTERRUPTED, NOT_CONVERGED, leave_when_interrupted
-from slippulse_jax.status import NotConverged
 
 COMMANDS = {
     "claims": "Measure the paper's claims and compare.",

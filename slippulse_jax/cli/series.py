@@ -70,13 +70,13 @@ def command(
         compile_loops_whole()
     import jax
 
+    from slippulse_jax.base.files import write_atomically
+    from slippulse_jax.base.status import Outcome
     from slippulse_jax.bodies.chain import chain
     from slippulse_jax.events.ageing import Ageing
     from slippulse_jax.events.catalogue import heading
     from slippulse_jax.events.series import Adiabatic, Spring, Steps, series
-    from slippulse_jax.files import write_atomically
     from slippulse_jax.slider import Slider
-    from slippulse_jax.status import Outcome
 
     with jax.enable_x64(True):
         try:

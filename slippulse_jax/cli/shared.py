@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, NoReturn, get_args
 
 import click
 
-from slippulse_jax.choices import ContactLaw, Control, RightEnd, Top
-from slippulse_jax.files import FIGURE_FORMATS, plain, shortened
+from slippulse_jax.base.choices import ContactLaw, Control, RightEnd, Top
+from slippulse_jax.base.files import FIGURE_FORMATS, plain, shortened
 
 if TYPE_CHECKING:
     import numpy as np

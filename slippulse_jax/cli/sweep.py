@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slippulse_jax.choices import Control
+from slippulse_jax.base.choices import Control
 from slippulse_jax.cli.shared import (
     INCOMPLETE,
     VALUES,

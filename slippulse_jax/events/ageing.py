@@ -19,8 +19,8 @@ from jax import lax
 from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
-from slippulse_jax.domains import Domain, check_choice
-from slippulse_jax.units import quantity_field
+from slippulse_jax.base.domains import Domain, check_choice
+from slippulse_jax.base.units import quantity_field
 
 Law = Literal["exponential", "logarithmic"]
 Clock = Literal["load", "time"]

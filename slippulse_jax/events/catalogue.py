@@ -7,10 +7,10 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float, Int
 
+from slippulse_jax.base.domains import real_numbers
+from slippulse_jax.base.shown import html, short
+from slippulse_jax.base.status import Outcome, Status
 from slippulse_jax.bodies.chain import State
-from slippulse_jax.domains import real_numbers
-from slippulse_jax.shown import html, short
-from slippulse_jax.status import Outcome, Status
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -13,17 +13,19 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from slippulse_jax.base.choices import EventKind
+from slippulse_jax.base.outcomes import first_of, length_or_reason
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.chain import Chain, Springs, chain, eliminate, floats
 from slippulse_jax.bodies.equilibrium import all_numbers
 from slippulse_jax.bodies.modes import FARTHEST
 from slippulse_jax.bodies.response import Response, of_chain
-from slippulse_jax.derivatives import by_forward_mode, with_gradient, with_jacobian
+from slippulse_jax.bulk.derivatives import by_forward_mode, with_gradient, with_jacobian
 from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, Event, event, overload, rises
-from slippulse_jax.front.front import FADED, EventKind, Front, first_of, follow, in_domain, length_or_reason
+from slippulse_jax.front.front import FADED, Front, follow
 from slippulse_jax.interface import AnyInterface
 from slippulse_jax.rules import HARD, BreakRule, HardBreak
 from slippulse_jax.slider import Slider
-from slippulse_jax.status import Outcome
 
 ROUNDING = 16
 """Units in the last place within which numbers along a chain are equal."""
@@ -79,7 +81,7 @@ def contacts_of_slider(slider: Slider, interface: AnyInterface, sites: int) -> R
     """The first contacts of a slider, or all of one that ends."""
     found = contacts_of_chain(chain(dataclasses.replace(slider, machine=None), sites=sites, interface=interface))
     valid = found.valid if slider.sites is None else found.valid & (slider.sites == sites)
-    found = found._replace(valid=valid & in_domain(slider))
+    found = found._replace(valid=valid & slider.in_domain())
     return found if slider.machine is None else found.through(jnp.minimum(slider.machine, FARTHEST))
 
 

@@ -24,16 +24,16 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
+from slippulse_jax.base.domains import check_domain
+from slippulse_jax.base.outcomes import first_of
+from slippulse_jax.base.shown import short
+from slippulse_jax.base.status import Outcome
+from slippulse_jax.base.units import as_float
 from slippulse_jax.bodies.chain import Chain, State, check_linear, potential_energy
 from slippulse_jax.bodies.equilibrium import equilibrium, forces
-from slippulse_jax.derivatives import without_derivative
-from slippulse_jax.domains import check_domain
+from slippulse_jax.bulk.derivatives import without_derivative
 from slippulse_jax.events.rupture import nucleate
-from slippulse_jax.front.front import first_of
 from slippulse_jax.rules import CrackLike, SelfHealing
-from slippulse_jax.shown import short
-from slippulse_jax.status import Outcome
-from slippulse_jax.units import as_float
 
 
 class Motion(NamedTuple):

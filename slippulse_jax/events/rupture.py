@@ -24,16 +24,16 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.base.domains import check_kind, check_whole
+from slippulse_jax.base.outcomes import first_of, length_or_reason
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.chain import Chain, Springs, State, check_linear, eliminate
 from slippulse_jax.bodies.equilibrium import Equilibrium, all_numbers, equilibrium, in_balance, or_harmless
 from slippulse_jax.bodies.response import Response, propagators, with_response
-from slippulse_jax.derivatives import without_derivative
-from slippulse_jax.domains import check_kind, check_whole
+from slippulse_jax.bulk.derivatives import without_derivative
 from slippulse_jax.events.event import BREAKS_PER_SITE, event, most, rises
 from slippulse_jax.events.first import ROUNDING, alike
-from slippulse_jax.front.front import first_of, length_or_reason
 from slippulse_jax.rules import BreakRule, HardBreak, check_rule
-from slippulse_jax.status import Outcome
 
 CLOSEST = -(2**31)
 """For a trigger: the contact closest to its threshold, where only rounding keeps it below."""

@@ -24,21 +24,21 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
+from slippulse_jax.base.domains import Domain, check_kind, check_whole
+from slippulse_jax.base.status import Outcome
+from slippulse_jax.base.units import as_float
 from slippulse_jax.block import Block, checked_sites
 from slippulse_jax.bodies.chain import Chain, Springs, State, check_linear
 from slippulse_jax.bodies.response import Response, with_response
 from slippulse_jax.bulk.compiler import lane_by_lane
+from slippulse_jax.bulk.derivatives import without_derivative
 from slippulse_jax.bulk.double import in_double
-from slippulse_jax.derivatives import without_derivative
-from slippulse_jax.domains import Domain, check_kind, check_whole
 from slippulse_jax.events.ageing import Ageing, next_crossing
 from slippulse_jax.events.catalogue import COLUMNS, Catalogue, EventClass
 from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, event, most, overload, rises
 from slippulse_jax.events.first import Relaxed, contacts_of_chain
 from slippulse_jax.interface import AnyInterface, Interface, Profile
 from slippulse_jax.slider import Slider
-from slippulse_jax.status import Outcome
-from slippulse_jax.units import as_float
 
 
 class Adiabatic(eqx.Module):

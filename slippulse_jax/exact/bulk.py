@@ -21,15 +21,15 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from slippulse_jax import double_series
+from slippulse_jax.base.domains import HEIGHT, POISSON, PRESTRESS, check_kind
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, over_lanes
-from slippulse_jax.domains import HEIGHT, POISSON, PRESTRESS, check_kind
 from slippulse_jax.double_series import Table
 from slippulse_jax.exact.crossing import excess, expected_length, first_crossing, series_of
 from slippulse_jax.exact.front import uniform
-from slippulse_jax.front.front import LengthDerivatives
+from slippulse_jax.front.arrest import LengthDerivatives
 from slippulse_jax.interface import Interface
 from slippulse_jax.slider import Slider
-from slippulse_jax.status import Outcome
 
 EXACT_OUTCOMES = (Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.INVALID, Outcome.RUN_AWAY, Outcome.NOT_CONVERGED)
 """Possible outcomes of an exact front."""

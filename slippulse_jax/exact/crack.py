@@ -20,12 +20,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from slippulse_jax.base.outcomes import first_of, length_or_reason
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.modes import Modes, lattice_modes
 from slippulse_jax.bulk.compiler import in_full
-from slippulse_jax.derivatives import root_between
-from slippulse_jax.front.front import first_of, in_domain, length_or_reason
+from slippulse_jax.bulk.derivatives import root_between
 from slippulse_jax.slider import Slider
-from slippulse_jax.status import Outcome
 
 FARTHEST = 1e3
 """Largest length searched, in H (1 + b): without prestress every tip has stopped long before."""
@@ -107,7 +107,7 @@ def length(slider: Slider, friction: Array, prestress: Array) -> tuple[Array, Ar
     first, stops = jnp.argmax(below), below.any()
     low, high = node[jnp.maximum(first - 1, 0)], node[jnp.maximum(first, 1)]
     found = root_between(above, (slider, ratio), low, high, NOISE)
-    inside = (friction >= 0) & (friction < 1) & (jnp.abs(prestress) < 1) & in_domain(slider)
+    inside = (friction >= 0) & (friction < 1) & (jnp.abs(prestress) < 1) & slider.in_domain()
     endings = {
         Outcome.INVALID: ~inside,
         Outcome.RUN_AWAY: ~stops,

@@ -19,11 +19,11 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from slippulse_jax import double_series
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.double_series import Lanes, Series, Table
 from slippulse_jax.front.front import runaway_prestress
 from slippulse_jax.slider import Slider
-from slippulse_jax.status import Outcome
 
 SIMPLE = 0.999
 """Fraction of the run-away prestress below which a front is simple."""

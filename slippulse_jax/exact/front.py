@@ -25,17 +25,16 @@ from jaxtyping import Array, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax import double_series
+from slippulse_jax.base.domains import check_domain, check_kind
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.bulk.compiler import in_full
-from slippulse_jax.derivatives import by_forward_mode
-from slippulse_jax.domains import check_domain, check_kind
+from slippulse_jax.bulk.derivatives import by_forward_mode
 from slippulse_jax.exact import crack
 from slippulse_jax.exact.crossing import excess, first_crossing, length_of, series_of
-from slippulse_jax.front.front import in_domain
 from slippulse_jax.interface import Interface
 from slippulse_jax.rules import CrackLike
 from slippulse_jax.slider import Fields, Slider, broadcast, of_one_type
-from slippulse_jax.status import Outcome
 
 
 class ExactFront(NamedTuple):
@@ -244,7 +243,7 @@ def crossing_of(theta: Float[Array, " n"], *, rebreaks: bool = False) -> tuple[A
     def crossed(theta: Array) -> tuple[Array, Array]:
         found = series_of(theta)
         length, status = first_crossing(found, theta)
-        valid = in_domain(Slider(theta[0], theta[1], theta[2])) & Interface(*theta[3:]).in_domain()
+        valid = Slider(theta[0], theta[1], theta[2]).in_domain() & Interface(*theta[3:]).in_domain()
         status = jnp.where(valid, status, Outcome.INVALID)
         length = length_of(length, status)
         if rebreaks:

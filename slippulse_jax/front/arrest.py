@@ -4,22 +4,51 @@ import functools
 import operator
 import warnings
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array
+from jaxtyping import Array, Float, Int
 
+from slippulse_jax.base.domains import check_whole
+from slippulse_jax.base.outcomes import length_or_reason, outcome
+from slippulse_jax.base.status import NotConverged, Outcome
 from slippulse_jax.bodies.modes import lattice_modes
-from slippulse_jax.derivatives import by_forward_mode
-from slippulse_jax.domains import check_whole
+from slippulse_jax.bulk.derivatives import by_forward_mode
 from slippulse_jax.front import front
-from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, Arrest
-from slippulse_jax.interface import AnyInterface, Profile
+from slippulse_jax.interface import AnyInterface, Interface, Profile
 from slippulse_jax.rules import HARD, BreakRule
 from slippulse_jax.slider import Slider, of_one_type
-from slippulse_jax.status import NotConverged, Outcome
+
+DEFAULT_MAX_CONTACTS = 10_000_000
+"""Breaks after which a front is given up: beyond any slider of H/λc up to several million."""
+
+AnyArray = Array | np.ndarray
+
+
+class LengthDerivatives(NamedTuple):
+    """Lengths of a batch, and their derivatives in the places of the numbers of the arguments, as of ``jax.grad``.
+
+    ``slider.stiffness`` is dℓ/d(k/K), ``slider.length`` dℓ/dN, ``interface.prestress`` dℓ/dφ. All are NumPy float64 of the
+    shape of the batch, in λc per unit of the parameter: NaN where the length is not finite, and 0 where no domino starts.
+    """
+
+    length: np.ndarray  # ℓ or ℓ*
+    slider: Slider
+    interface: Interface | None = None
+    rule: BreakRule | None = None
+    hessian: np.ndarray | None = None  # (..., n, n), in the order of the numbers of slider and interface
+
+
+class Arrest(NamedTuple):
+    """Where and how the front ended, or many fronts; of NumPy arrays where computed in bulk."""
+
+    contacts_broken: Int[AnyArray, "..."]
+    length: Float[AnyArray, "..."]  # ℓ, in λc
+    status: Int[AnyArray, "..."]
+    edge_stress: Float[AnyArray, "..."]  # stress on contact 0 behind the front, in σ_s
 
 
 class FrontNotArrested(NotConverged):
@@ -47,15 +76,15 @@ def arrest(
         through = last & (part > 0.5)
         at = jax.tree.map(lambda new, old: jnp.where(through, new, old), over[2](at, part, stress), at)
     numbers = [x.in_domain() for x in (interface, rule) if x is not None]
-    status = front.outcome(
+    status = outcome(
         at.position,
         (part > front.FADED) & ~last,
         at.edge[0] - front.contact_at(modes, interface, 0)[0],
-        valid=functools.reduce(operator.and_, numbers, front.in_domain(slider) & jnp.isfinite(stress - threshold)),
+        valid=functools.reduce(operator.and_, numbers, slider.in_domain() & jnp.isfinite(stress - threshold)),
         through=through,
         endless=at.position.astype(end.dtype) >= end,
     )
-    return Arrest(at.position, front.length_or_reason(status, length), status, at.edge[0])
+    return Arrest(at.position, length_or_reason(status, length), status, at.edge[0])
 
 
 @partial(jax.jit, static_argnames=("name", "max_contacts"))

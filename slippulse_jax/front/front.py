@@ -46,23 +46,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
-from slippulse_jax.block import Block
 from slippulse_jax.bodies.modes import Modes, equilibrium_fields, inverse, lattice_modes
 from slippulse_jax.bulk.compiler import in_full
-from slippulse_jax.choices import EventKind
-from slippulse_jax.domains import HEIGHT, MACHINE, POISSON, SITES, STIFFNESS, check_choice
 from slippulse_jax.interface import AnyInterface, Interface, Profile
 from slippulse_jax.rules import HARD, BreakRule, HardBreak
 from slippulse_jax.slider import Slider
-from slippulse_jax.status import Outcome
-
-DEFAULT_MAX_CONTACTS = 10_000_000
-"""Breaks after which a front is given up: beyond any slider of H/λc up to several million."""
-
-FRONT_OUTCOMES = tuple(outcome for outcome in Outcome if outcome <= Outcome.RUN_AWAY)
-"""Possible outcomes of a front."""
 
 APPROACH = 45.0
 """Decay lengths after which e^{−s/length} is nothing in float64."""
@@ -76,37 +66,6 @@ REACHED = 6
 
 NEWTON_STEPS = 4
 """Steps from the straight line to the end of the curve: four reach rounding, on contacts stiffer than any block more."""
-
-AnyArray = Array | np.ndarray
-
-
-def check_event(event: str) -> None:
-    """Refuse an unknown kind of event."""
-    check_choice("event", event, EventKind)
-
-
-class LengthDerivatives(NamedTuple):
-    """Lengths of a batch, and their derivatives in the places of the numbers of the arguments, as of ``jax.grad``.
-
-    ``slider.stiffness`` is dℓ/d(k/K), ``slider.length`` dℓ/dN, ``interface.prestress`` dℓ/dφ. All are NumPy float64 of the
-    shape of the batch, in λc per unit of the parameter: NaN where the length is not finite, and 0 where no domino starts.
-    """
-
-    length: np.ndarray  # ℓ or ℓ*
-    slider: Slider
-    interface: Interface | None = None
-    rule: BreakRule | None = None
-    hessian: np.ndarray | None = None  # (..., n, n), in the order of the numbers of slider and interface
-
-
-class Arrest(NamedTuple):
-    """Where and how the front ended, or many fronts; of NumPy arrays where computed in bulk."""
-
-    contacts_broken: Int[AnyArray, "..."]
-    length: Float[AnyArray, "..."]  # ℓ, in λc
-    status: Int[AnyArray, "..."]
-    edge_stress: Float[AnyArray, "..."]  # stress on contact 0 behind the front, in σ_s
-
 
 # --- one step ----------------------------------------------------------------------------------------------------------
 
@@ -216,37 +175,6 @@ def _with_slope(coefficients: Sequence[Any], x: Any) -> tuple[Any, Any]:
     return value, slope
 
 
-def first_of(endings: dict[Any, Any]) -> Int[Array, "..."]:
-    """The first `Outcome` whose condition holds; `ARRESTED` if none does."""
-    return jnp.select(jnp.broadcast_arrays(*endings.values()), list(endings), Outcome.ARRESTED).astype(jnp.int32)
-
-
-def outcome(
-    broken: Array, goes: Array, edge: Array, *, valid: Any, through: Any = False, endless: Any = False
-) -> Int[Array, "..."]:
-    """`Outcome` of fronts from the contacts broken, whether the one ahead breaks, and the excess on contact 0 behind them."""
-    endings = {
-        Outcome.INVALID: ~valid,
-        Outcome.RAN_THROUGH: through,
-        Outcome.RUN_AWAY: goes & endless,
-        Outcome.LIMIT: goes,
-        Outcome.NO_DOMINO: broken == 1,
-        Outcome.REBREAK: edge >= 0,
-    }
-    return first_of(endings)
-
-
-def length_or_reason(status: Array, length: Array) -> Array:
-    """`length` of a front that stopped; 0 where none started; else inf or NaN, with a derivative that is not finite either."""
-    stopped = (status == Outcome.ARRESTED) | (status == Outcome.REBREAK)
-    none = (status == Outcome.NO_DOMINO) | (status == Outcome.NOTHING_BROKE)
-    infinite = (status == Outcome.RAN_THROUGH) | (status == Outcome.RUN_AWAY)
-    # 0 where the length itself is taken too: reverse mode multiplies what is not taken by zero, and NaN stays NaN
-    instead = jnp.where(stopped | none, 0, jnp.where(infinite, jnp.inf, jnp.nan))
-    # where nothing is left to break, the curve may have no end
-    return jnp.where(stopped, length, instead * (1 + jnp.where(jnp.isnan(length), 0, jnp.abs(length))))
-
-
 # --- one front ---------------------------------------------------------------------------------------------------------
 
 
@@ -340,15 +268,6 @@ def passage(
 
     start = release(at_0._replace(stress=0 * at_0.stress) if hard else at_0, 1, nucleated[0] - threshold)
     return start, ahead, release
-
-
-def in_domain(body: Slider | Block) -> Array:
-    """Whether the values, traced ones included, are those of a slider or block."""
-    height, stiffness, poisson = (jnp.asarray(x) for x in (body.height, body.stiffness, body.poisson))
-    valid = HEIGHT.holds(height) & STIFFNESS.holds(stiffness) & POISSON.holds(poisson)
-    for number, domain in ((body.machine, MACHINE), (body.length, SITES)):
-        valid = valid if number is None else valid & ((jnp.asarray(number) == jnp.inf) | domain.holds(jnp.asarray(number)))
-    return valid
 
 
 # --- past the arrest ---------------------------------------------------------------------------------------------------

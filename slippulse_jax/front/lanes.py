@@ -35,10 +35,11 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from slippulse_jax.base.outcomes import outcome
 from slippulse_jax.bodies.modes import Number, Pair, RightEnd, inverse, lattice_modes, mode_numbers
 from slippulse_jax.bulk.chunks import Kernel
 from slippulse_jax.bulk.compiler import in_one_loop
-from slippulse_jax.front.front import REACHED, end_of_front, never_stops_after, outcome
+from slippulse_jax.front.front import REACHED, end_of_front, never_stops_after
 from slippulse_jax.interface import Interface
 from slippulse_jax.slider import Slider
 

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from slippulse_jax.base.domains import check_kind, check_single, check_whole
 from slippulse_jax.bodies.modes import lattice_modes
-from slippulse_jax.domains import check_kind, check_single, check_whole
 from slippulse_jax.front.front import contact_at, sweep, swept_length
 from slippulse_jax.interface import AnyInterface, Interface, Profile
 from slippulse_jax.rules import BreakRule, HardBreak, check_rule

@@ -6,16 +6,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import ArrayLike
 
+from slippulse_jax.base.domains import HEIGHT, check_choice, check_domain
+from slippulse_jax.base.files import plain
+from slippulse_jax.base.shown import html
+from slippulse_jax.base.status import NotConverged
 from slippulse_jax.block import ContactLaw, Control, Top
-from slippulse_jax.domains import HEIGHT, check_choice, check_domain
-from slippulse_jax.files import plain
 from slippulse_jax.inference.knowledge import Gain, Knowledge, LengthKind, expected_gain, greedy, moments
 from slippulse_jax.inference.model.fronts import front_for
 from slippulse_jax.inference.model.parameters import ParameterSet, parameter_set
 from slippulse_jax.inference.table.columns import TEXTS
 from slippulse_jax.inference.table.measurements import Measurements, numbers
-from slippulse_jax.shown import html
-from slippulse_jax.status import NotConverged
 
 BIT = np.log(2)
 MOST_EXPERIMENTS = 12

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from tqdm.auto import tqdm
 
-from slippulse_jax.domains import check_choice, check_whole
+from slippulse_jax.base.domains import check_choice, check_whole
+from slippulse_jax.base.status import NotConverged
 from slippulse_jax.inference.choices import Body, IntervalsBy, Loss, MeasuredEvent, Method, Sigma
 from slippulse_jax.inference.model.check import checked, suspicions
 from slippulse_jax.inference.model.fronts import BlockSequence, Front
@@ -54,7 +55,6 @@ from slippulse_jax.inference.search.minima import (
     search,
 )
 from slippulse_jax.inference.table.measurements import Measurements, MeasurementWarning, measurements_of
-from slippulse_jax.status import NotConverged
 
 if TYPE_CHECKING:
     import pandas as pd

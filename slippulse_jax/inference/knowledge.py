@@ -21,9 +21,9 @@ import numpy as np
 from jaxtyping import ArrayLike
 from scipy.special import logsumexp, ndtri, xlogy
 
-from slippulse_jax.choices import EventKind
-from slippulse_jax.domains import check_domain
-from slippulse_jax.front.front import check_event
+from slippulse_jax.base.choices import EventKind
+from slippulse_jax.base.domains import check_choice, check_domain
+from slippulse_jax.base.shown import format_number
 from slippulse_jax.inference.choices import Body
 from slippulse_jax.inference.model.check import check_used, checked
 from slippulse_jax.inference.model.fronts import front_of
@@ -31,7 +31,6 @@ from slippulse_jax.inference.model.parameters import STIFFNESSES, Parameter, Par
 from slippulse_jax.inference.search.likelihood import Problem, data_log_density, make_problem
 from slippulse_jax.inference.table.columns import NUMERIC
 from slippulse_jax.inference.table.measurements import MeasurementError, Measurements, converted, numbers, table
-from slippulse_jax.shown import format_number
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result.result import FitResult
@@ -87,7 +86,7 @@ class Knowledge:
     rebreaks: np.ndarray = converted(converter=np.asarray, default=None)
 
     def __post_init__(self) -> None:
-        check_event(self.event)
+        check_choice("event", self.event, EventKind)
         theta = numbers(self.log_stiffness, "Knowledge.log_stiffness")
         weight = np.ones(theta.shape) if self.weight is None else numbers(self.weight, "Knowledge.weight")
         root = np.zeros(theta.shape, int) if self.root is None else np.asarray(self.root)

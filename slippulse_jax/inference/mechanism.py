@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from slippulse_jax.base.status import NotConverged
 from slippulse_jax.inference.fit import FitResult, fit, wanted_parameters
 from slippulse_jax.inference.model.parameters import Parameter
 from slippulse_jax.inference.result.samples import refitted, simulated
 from slippulse_jax.inference.table.measurements import Measurements
-from slippulse_jax.status import NotConverged
 
 LEVEL = 0.05
 """Share of simulated measurements beyond which a kind of front is rejected."""

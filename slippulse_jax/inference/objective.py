@@ -12,9 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from slippulse_jax.base.choices import did_you_mean
+from slippulse_jax.base.domains import check_choice
+from slippulse_jax.base.units import as_float
 from slippulse_jax.bulk.compiler import check_jit
-from slippulse_jax.choices import did_you_mean
-from slippulse_jax.domains import check_choice
 from slippulse_jax.inference.choices import Body, Loss, MeasuredEvent
 from slippulse_jax.inference.model.check import checked
 from slippulse_jax.inference.model.fronts import Front
@@ -25,7 +26,6 @@ from slippulse_jax.inference.search.clouds import gathered, refuse_model_error
 from slippulse_jax.inference.search.likelihood import How, Problem, density, make_problem
 from slippulse_jax.inference.search.minima import lowest_look
 from slippulse_jax.inference.table.measurements import Measurements, measurements_of
-from slippulse_jax.units import as_float
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -27,12 +27,12 @@ from jaxtyping import ArrayLike, Float
 from scipy.linalg import block_diag
 from scipy.special import chdtrc, ndtr
 
-from slippulse_jax.domains import check_choice, check_domain, check_whole, real_numbers
-from slippulse_jax.files import plain
+from slippulse_jax.base.domains import check_choice, check_domain, check_whole, real_numbers
+from slippulse_jax.base.files import plain
+from slippulse_jax.base.shown import plural
 from slippulse_jax.inference.heterogeneous import Linearised, ProfileKind, ProfileProblem, followed, profile_problem
 from slippulse_jax.inference.model.check import check_used
 from slippulse_jax.inference.table.measurements import Measurements
-from slippulse_jax.shown import plural
 
 _AMPLITUDES = {"threshold": np.geomspace(0.005, 0.3, 6), "prestress": np.geomspace(0.005, 0.2, 6)}
 _LENGTH_SCALES = np.geomspace(0.08, 1.5, 6)  # over the longest length

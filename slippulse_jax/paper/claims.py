@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from slippulse_jax import theory
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.block import Block
 from slippulse_jax.bodies.chain import Chain, chain
 from slippulse_jax.bodies.modes import lattice_modes
@@ -28,7 +29,6 @@ from slippulse_jax.paper.distribution import Kind, ThresholdDistribution, edge_l
 from slippulse_jax.precursor import first_precursor, precursor_length
 from slippulse_jax.rules import CrackLike, SelfHealing
 from slippulse_jax.slider import Slider
-from slippulse_jax.status import Outcome
 
 Verdict = Literal["holds", "holds within limits", "does not hold as worded"]
 

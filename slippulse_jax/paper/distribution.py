@@ -26,12 +26,12 @@ from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 from scipy.optimize.elementwise import find_root
 
+from slippulse_jax.base.domains import Domain, check_choice
+from slippulse_jax.base.units import quantity_field
 from slippulse_jax.bodies.chain import Chain, State
 from slippulse_jax.bodies.equilibrium import imbalance
 from slippulse_jax.bodies.modes import lattice_modes
-from slippulse_jax.domains import Domain, check_choice
 from slippulse_jax.slider import Slider
-from slippulse_jax.units import quantity_field
 
 Kind = Literal["normal", "uniform", "weibull"]
 

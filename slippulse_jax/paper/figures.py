@@ -10,15 +10,15 @@ import jax
 import numpy as np
 
 from slippulse_jax import theory
+from slippulse_jax.base.files import FIGURE_FORMATS, write_atomically
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.exact.bulk import exact_lengths
 from slippulse_jax.exact.front import exact_fields, exact_front_stress
-from slippulse_jax.files import FIGURE_FORMATS, write_atomically
 from slippulse_jax.lengths import arrests, precursor_lengths
 from slippulse_jax.paper import FIG2
 from slippulse_jax.plot.labels import AGAIN
 from slippulse_jax.plot.style import LIGHT, save
 from slippulse_jax.slider import Slider
-from slippulse_jax.status import Outcome
 
 POISSON, SITES = 0.3, 100
 """Poisson's ratio and L/λc of Fig. 3."""

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from slippulse_jax.base.files import write_atomically
 from slippulse_jax.blocks.event import BlockPrecursor
 from slippulse_jax.bodies.modes import ChainFields
-from slippulse_jax.files import write_atomically
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.plot import style
 from slippulse_jax.plot.blocks import Frames, draw_block, frames_of

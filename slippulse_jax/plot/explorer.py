@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.modes import ChainFields
 from slippulse_jax.interface import Interface
 from slippulse_jax.plot import style
 from slippulse_jax.plot.labels import AGAIN, DISTANCE, axis_label
 from slippulse_jax.precursor import FirstPrecursor, first_precursor, precursor_length
 from slippulse_jax.slider import Slider
-from slippulse_jax.status import Outcome
 
 SITES = 320
 """Contacts computed and shown, the same for every slider and compiled program."""

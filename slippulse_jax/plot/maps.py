@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.plot import style
 from slippulse_jax.plot.labels import AGAIN, NAMES, as_written, axis_label, in_unit, symbol
-from slippulse_jax.status import Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

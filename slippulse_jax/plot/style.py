@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
-from slippulse_jax.files import FIGURE_FORMATS, write_atomically
+from slippulse_jax.base.files import FIGURE_FORMATS, write_atomically
 from slippulse_jax.plot.labels import AGAIN
 from slippulse_jax.plot.labels import DISTANCE as DISTANCE
 

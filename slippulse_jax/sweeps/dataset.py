@@ -18,7 +18,7 @@ import jax
 import numpy as np
 import xarray as xr
 
-from slippulse_jax.files import plain, write_atomically
+from slippulse_jax.base.files import plain, write_atomically
 from slippulse_jax.sweeps.outputs import OUTPUTS
 from slippulse_jax.sweeps.request import Request
 

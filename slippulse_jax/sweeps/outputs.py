@@ -11,16 +11,15 @@ from jaxtyping import Array
 
 from slippulse_jax import lengths as bulk
 from slippulse_jax import theory
+from slippulse_jax.base.choices import RightEnd, did_you_mean
+from slippulse_jax.base.status import FRONT_OUTCOMES, Outcome
 from slippulse_jax.blocks import size
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
-from slippulse_jax.choices import RightEnd, did_you_mean
 from slippulse_jax.exact.bulk import ARREST_OUTCOMES, exact_arrests
-from slippulse_jax.front.front import FRONT_OUTCOMES
 from slippulse_jax.interface import Interface
 from slippulse_jax.rules import SmoothBreak
 from slippulse_jax.slider import Slider
-from slippulse_jax.status import Outcome
 from slippulse_jax.sweeps.request import INTERFACE, PARAMETERS, PUSH, SLIDER, Columns, Region, Request, shape_of
 
 Compute = Callable[[Request, Columns], Any]

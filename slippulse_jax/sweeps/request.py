@@ -11,9 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from slippulse_jax.block import OF_SIDE, Block, ContactLaw, Control, Push, Top, has_push
-from slippulse_jax.bodies.modes import RightEnd
-from slippulse_jax.domains import (
+from slippulse_jax.base.domains import (
     FRICTION,
     HEIGHT,
     NORMAL_STIFFNESS,
@@ -23,12 +21,14 @@ from slippulse_jax.domains import (
     THRESHOLD_SLOPE,
     real_numbers,
 )
-from slippulse_jax.files import plain
-from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS
+from slippulse_jax.base.files import plain
+from slippulse_jax.base.units import Quantity, quantities
+from slippulse_jax.block import OF_SIDE, Block, ContactLaw, Control, Push, Top, has_push
+from slippulse_jax.bodies.modes import RightEnd
+from slippulse_jax.front.arrest import DEFAULT_MAX_CONTACTS
 from slippulse_jax.interface import Interface, check_bulk
 from slippulse_jax.rules import WIDTH, SmoothBreak
 from slippulse_jax.slider import Slider
-from slippulse_jax.units import Quantity, quantities
 
 Columns = dict[str, np.ndarray]
 """Values by name of parameter or output, one per point."""

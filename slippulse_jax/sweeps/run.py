@@ -13,12 +13,11 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from tqdm.auto import tqdm
 
+from slippulse_jax.base.choices import RightEnd
+from slippulse_jax.base.files import shortened
 from slippulse_jax.block import ContactLaw, Control, Top
 from slippulse_jax.bulk.chunks import in_this_thread
-from slippulse_jax.choices import RightEnd
-from slippulse_jax.files import shortened
-from slippulse_jax.front.arrest import check_max_contacts
-from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS
+from slippulse_jax.front.arrest import DEFAULT_MAX_CONTACTS, check_max_contacts
 from slippulse_jax.interface import Interface
 from slippulse_jax.slider import Slider
 from slippulse_jax.sweeps.dataset import labelled, processor

@@ -21,7 +21,7 @@ from fsspec.implementations.local import LocalFileSystem
 from zarr.codecs import BytesCodec, Crc32cCodec
 from zarr.storage import FsspecStore, LocalStore, MemoryStore
 
-from slippulse_jax.files import plain, shortened, write_atomically
+from slippulse_jax.base.files import plain, shortened, write_atomically
 from slippulse_jax.sweeps.dataset import about_output, computed_by, labelled
 from slippulse_jax.sweeps.outputs import OUTPUTS
 from slippulse_jax.sweeps.request import Columns, Region, Request, chunk_shape, labelled_axes, regions

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from slippulse_jax import double_series
 from slippulse_jax.bulk.compiler import in_full
-from slippulse_jax.derivatives import by_forward_mode, root_between
+from slippulse_jax.bulk.derivatives import by_forward_mode, root_between
 from slippulse_jax.slider import Fields, Slider, each_slider
 from slippulse_jax.theory.frozen import leading_length
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from slippulse_jax.bulk.compiler import in_full
-from slippulse_jax.derivatives import root_between
+from slippulse_jax.bulk.derivatives import root_between
 from slippulse_jax.double_series import exponential_terms, overlap
 from slippulse_jax.slider import Slider, each_slider
 

@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from slippulse_jax.base.domains import POISSON, PRESTRESS, Domain, real_numbers
+from slippulse_jax.base.units import as_float
 from slippulse_jax.bulk.compiler import in_full
-from slippulse_jax.derivatives import root_between
-from slippulse_jax.domains import POISSON, PRESTRESS, Domain, real_numbers
+from slippulse_jax.bulk.derivatives import root_between
 from slippulse_jax.double_series import exponential_terms, overlap
 from slippulse_jax.slider import Slider, each_slider
-from slippulse_jax.units import as_float
 
 _DOMAIN = {
     "b": Domain(0, np.inf, "must be positive: areal stiffness times height over shear modulus"),

@@ -14,6 +14,7 @@ from oracles.finite_elements import WholeBlock, break_all, events_of, rectangle
 from scipy.optimize import brentq
 
 import slippulse_jax as sp
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.blocks import elements, size
 from slippulse_jax.blocks import event as blocks
 from slippulse_jax.blocks import guide as waveguide
@@ -22,7 +23,6 @@ from slippulse_jax.events import series
 from slippulse_jax.events.first import Relaxed, first_event, length_of, smooth_length
 from slippulse_jax.events.series import Adiabatic, Loading, Spring, Steps, of_contacts
 from slippulse_jax.rules import HARD
-from slippulse_jax.status import Outcome
 
 PUSHES = [sp.Push(0.25), sp.Push(0.4, 0.2), sp.Push(0.4, 0.2, "force"), sp.Push()]
 NAMES = ["top", "patch", "force", "side"]

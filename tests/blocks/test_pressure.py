@@ -10,9 +10,9 @@ from blocks.test_block import KINDS, at_b, whole
 from oracles.finite_elements import break_all
 
 import slippulse_jax as sp
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.blocks import event as blocks
 from slippulse_jax.events.series import Adiabatic, Spring, Steps
-from slippulse_jax.status import Outcome
 
 
 def pressed(height, b, push, friction, lengths=3.0, **more):

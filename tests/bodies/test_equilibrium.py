@@ -10,10 +10,10 @@ from oracles.dense_chain import end_stiffness, stiffness_matrix, uniform_springs
 from scipy.optimize import fsolve, root
 
 import slippulse_jax as sp
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.chain import Chain, Springs, State, chain, eliminate, endless, potential_energy, respond
 from slippulse_jax.bodies.equilibrium import equilibrium, forces, imbalance
 from slippulse_jax.bodies.modes import lattice_modes
-from slippulse_jax.status import Outcome
 
 ENDS = ("semi-infinite", "free", "clamped")
 FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)

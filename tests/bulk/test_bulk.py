@@ -10,12 +10,11 @@ import pytest
 
 import slippulse_jax as sp
 from slippulse_jax import lengths as bulk
+from slippulse_jax.base.status import FRONT_OUTCOMES, Outcome
 from slippulse_jax.bulk import chunks as batch
 from slippulse_jax.exact import bulk as exact_lanes
 from slippulse_jax.front import lanes
-from slippulse_jax.front.front import FRONT_OUTCOMES
 from slippulse_jax.rules import HardBreak
-from slippulse_jax.status import Outcome
 
 MOST = 10_000_000
 

@@ -15,12 +15,12 @@ import pytest
 from chains import ended
 
 import slippulse_jax as sp
+from slippulse_jax.base.files import plain
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.blocks import size
 from slippulse_jax.cli import main as cli
 from slippulse_jax.exact import front as exact_front
-from slippulse_jax.files import plain
 from slippulse_jax.inference.table.columns import COLUMNS, OF_GAUGES
-from slippulse_jax.status import Outcome
 
 ROOT = Path(__file__).resolve().parents[2]
 PMMA = "fit_examples/pmma_block/lengths.csv"
@@ -419,7 +419,7 @@ def test_a_long_cell_is_not_said_whole(tmp_path):
 
 
 def test_atomic_writing_keeps_links_masks_and_names(tmp_path, monkeypatch):
-    from slippulse_jax.files import write_atomically
+    from slippulse_jax.base.files import write_atomically
 
     (tmp_path / "there").mkdir()
     (tmp_path / "link.png").symlink_to(tmp_path / "there" / "real.png")
@@ -437,7 +437,7 @@ def test_atomic_writing_keeps_links_masks_and_names(tmp_path, monkeypatch):
 
 
 def test_full_disk_leaves_no_half_file(tmp_path, monkeypatch):
-    from slippulse_jax.files import write_atomically
+    from slippulse_jax.base.files import write_atomically
 
     path = tmp_path / "result.bin"
     write_atomically(path, b"old")

@@ -17,13 +17,12 @@ import pytest
 from records import described
 
 import slippulse_jax as sp
+from slippulse_jax.base.status import FRONT_OUTCOMES, Outcome
 from slippulse_jax.bodies.chain import Chain
 from slippulse_jax.bodies.modes import ChainFields
 from slippulse_jax.events.catalogue import Catalogue, EventClass
 from slippulse_jax.events.inertia import Motion
-from slippulse_jax.front.front import FRONT_OUTCOMES
 from slippulse_jax.inference.result.verdict import ANSWERS, FAQ, Identifiability
-from slippulse_jax.status import Outcome
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"

@@ -9,9 +9,9 @@ from problems import PAPER
 from scipy.optimize import brentq
 
 import slippulse_jax as sp
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.events.ageing import next_crossing
 from slippulse_jax.events.series import Adiabatic
-from slippulse_jax.status import Outcome
 
 FIG2 = sp.Slider(*PAPER.slider)
 CHAIN = sp.chain(FIG2, sites=SITES)

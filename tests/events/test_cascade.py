@@ -14,12 +14,12 @@ from chains import batch, both_chains, ended
 from problems import PAPER
 
 import slippulse_jax as sp
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.chain import State, chain, eliminate
 from slippulse_jax.bodies.response import of_chain
 from slippulse_jax.events.rupture import _can_break, nucleate, rupture
 from slippulse_jax.front.arrest import arrest
 from slippulse_jax.rules import SmoothBreak
-from slippulse_jax.status import Outcome
 
 ENDS = ("semi-infinite", "free", "clamped")
 SITES = (2, 3, 5, 8, 13, 29, 64, 150, 300)

@@ -11,7 +11,7 @@ from oracles import dense_chain
 from oracles.dense_chain import DenseChain
 
 import slippulse_jax as sp
-from slippulse_jax.status import Outcome
+from slippulse_jax.base.status import Outcome
 
 pytestmark = pytest.mark.ci
 

@@ -9,10 +9,10 @@ from oracles import leapfrog
 from oracles.dense_chain import responses
 
 import slippulse_jax as sp
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.equilibrium import forces
 from slippulse_jax.events.inertia import quasi_static_break_time, stable_step
 from slippulse_jax.rules import CrackLike, SelfHealing
-from slippulse_jax.status import Outcome
 
 FIG2 = sp.Slider(25.0, 0.03, 0.3)
 

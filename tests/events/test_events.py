@@ -10,9 +10,9 @@ from oracles.dense_chain import DenseChain
 
 import slippulse_jax as sp
 from slippulse_jax import lengths
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.lengths import FEW_SITES, arrests
 from slippulse_jax.rules import HARD
-from slippulse_jax.status import Outcome
 
 
 def sliders_beyond(count, seed, *, shortest=6.0, tallest=60.0):

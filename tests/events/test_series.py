@@ -8,9 +8,9 @@ from oracles.dense_chain import DenseChain, ages
 from problems import PAPER
 
 import slippulse_jax as sp
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.events.catalogue import EventClass
 from slippulse_jax.events.series import Adiabatic
-from slippulse_jax.status import Outcome
 
 FIG2 = PAPER.slider
 CHAIN = sp.chain(sp.Slider(*FIG2), sites=SITES)

@@ -7,8 +7,8 @@ import pytest
 from oracles.sliding_chain import dense, nucleated
 
 import slippulse_jax as sp
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.exact import crack
-from slippulse_jax.status import Outcome
 from slippulse_jax.theory import macroscopic_crack_length
 
 SLIDERS = [(25.0, 0.03, 0.3, 0.3, 0.0), (25.0, 0.03, 0.3, 0.0, 0.0), (10.0, 0.1, 0.2, 0.2, 0.1), (50.0, 0.003, 0.4, 0.6, -0.2),

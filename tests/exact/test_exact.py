@@ -16,12 +16,12 @@ from strategies import random_sliders
 
 import slippulse_jax as sp
 from slippulse_jax import double_series
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.exact import crossing
 from slippulse_jax.exact.crossing import series_of
 from slippulse_jax.exact.front import exact_fields, exact_front, exact_front_stress, exact_length
 from slippulse_jax.front.front import front_stress
-from slippulse_jax.status import Outcome
 
 FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
 

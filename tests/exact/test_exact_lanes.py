@@ -6,13 +6,13 @@ import pytest
 from strategies import random_sliders
 
 import slippulse_jax as sp
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.bulk.chunks import over_lanes
 from slippulse_jax.exact import bulk as exact_lanes
 from slippulse_jax.exact.bulk import exact_arrests
 from slippulse_jax.exact.front import exact_front, exact_length
 from slippulse_jax.lengths import arrests as arrests_of
-from slippulse_jax.status import Outcome
 
 
 def random_lanes(count, seed):

@@ -7,10 +7,10 @@ from scipy.integrate import quad, solve_ivp
 from strategies import random_sliders
 
 import slippulse_jax as sp
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.exact.bulk import NEVER, exact_arrests
 from slippulse_jax.exact.front import exact_fields
 from slippulse_jax.lengths import arrests
-from slippulse_jax.status import Outcome
 
 CLOSE = 5e-4
 """Half of what the onsets may differ by, relative."""

@@ -8,10 +8,10 @@ from chains import SITES, ended, long_series
 from oracles import dense_chain
 
 import slippulse_jax as sp
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.events.series import Spring
 from slippulse_jax.lengths import arrests
-from slippulse_jax.status import Outcome
 
 MACHINES = (0.1, 1.0, 10.0, 1e3)
 FIG2 = sp.Slider(25.0, 0.03, 0.3)

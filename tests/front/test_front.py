@@ -13,6 +13,7 @@ from oracles.lattice_mp import Chain
 from problems import PAPER, REFERENCE
 
 from slippulse_jax import Slider, first_precursor, precursor, precursor_length, precursor_lengths
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.modes import FARTHEST, lattice_modes
 from slippulse_jax.exact.front import exact_front_stress, exact_length
 from slippulse_jax.front import lanes
@@ -29,7 +30,6 @@ from slippulse_jax.front.front import (
     stress_ahead,
 )
 from slippulse_jax.lengths import arrests
-from slippulse_jax.status import Outcome
 
 
 @pytest.mark.parametrize("known", REFERENCE)

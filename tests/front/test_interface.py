@@ -11,9 +11,9 @@ from oracles.dense_chain import DenseChain, chain_matrix
 
 import slippulse_jax as sp
 from slippulse_jax import Interface, Profile, Slider, first_precursor, precursor_length, precursor_lengths
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.lengths import arrests
-from slippulse_jax.status import Outcome
 
 FIG2 = Slider(25.0, 0.03, 0.3)
 

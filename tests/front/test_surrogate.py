@@ -9,13 +9,13 @@ from scipy.integrate import quad
 from scipy.special import expit
 
 import slippulse_jax as sp
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.chain import chain
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.events.rupture import nucleate, rupture
-from slippulse_jax.front.arrest import FrontNotArrested, arrest, quantity
-from slippulse_jax.front.front import DEFAULT_MAX_CONTACTS, runaway_prestress
+from slippulse_jax.front.arrest import DEFAULT_MAX_CONTACTS, FrontNotArrested, arrest, quantity
+from slippulse_jax.front.front import runaway_prestress
 from slippulse_jax.rules import SmoothBreak
-from slippulse_jax.status import Outcome
 
 
 @jax.jit

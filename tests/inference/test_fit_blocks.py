@@ -16,6 +16,7 @@ from click.testing import CliRunner
 from reports import moves, section, unfolded
 
 import slippulse_jax as sp
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.blocks.size import tall_length
 from slippulse_jax.cli.fit import command
 from slippulse_jax.cli.length import command as length_command
@@ -25,7 +26,6 @@ from slippulse_jax.inference.model.fronts import BlockEvent
 from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.result.record import as_request, from_request
 from slippulse_jax.inference.result.verdict import Identifiability
-from slippulse_jax.status import Outcome
 from slippulse_jax.theory import block_decay_length
 
 ROOT = Path(__file__).resolve().parents[2]

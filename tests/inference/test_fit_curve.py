@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import slippulse_jax as sp
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.inference.search import intervals
-from slippulse_jax.status import Outcome
 
 MEASURED, OTHERS = np.array([20.0, 40.0, 80.0]), np.array([12.0, 30.0, 55.0, 140.0])
 FACTOR, OFFSET = 1.2, 0.7

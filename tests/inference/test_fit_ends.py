@@ -12,11 +12,11 @@ from reports import moves, unfolded
 from slopes import slopes_of
 
 import slippulse_jax as sp
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.inference.model.fronts import FirstFront
 from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.model.observables import predicted
 from slippulse_jax.inference.table.measurements import MeasurementError
-from slippulse_jax.status import Outcome
 
 HEIGHT, TRUTH = np.array([12.0, 16.0, 20.0]), 0.0126
 LENGTH = 4 * HEIGHT

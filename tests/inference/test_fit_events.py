@@ -16,6 +16,7 @@ from slopes import slopes_of
 
 import slippulse_jax as sp
 from slippulse_jax import plot
+from slippulse_jax.base.status import NotConverged
 from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.model import fronts
 from slippulse_jax.inference.model.fronts import FirstFront, WholeEvent, front_for
@@ -23,7 +24,6 @@ from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.result.record import as_request, from_request
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.plot.labels import AGAIN
-from slippulse_jax.status import NotConverged
 
 HEIGHT = np.array([15.0, 20.0, 30.0, 40.0, 50.0, 60.0])
 

@@ -17,6 +17,7 @@ from slopes import slopes_of
 
 import slippulse_jax as sp
 from slippulse_jax import Measurements, Parameter, fit, read_measurements
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.inference.fit import wanted_parameters
 from slippulse_jax.inference.model.check import checked
 from slippulse_jax.inference.model.fronts import FirstFront
@@ -27,7 +28,6 @@ from slippulse_jax.inference.result.samples import bootstrap
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.inference.search.intervals import rise_of
 from slippulse_jax.inference.search.likelihood import EXPECTED, INFORMATION, Observations, costs, loss_of, make_problem
-from slippulse_jax.status import Outcome
 
 
 def model(height, stiffness, poisson=0.3, prestress=0.0, slope=0.0):

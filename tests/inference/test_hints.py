@@ -9,8 +9,8 @@ from click.testing import CliRunner
 from reports import unfolded
 
 import slippulse_jax as sp
+from slippulse_jax.base.domains import Domain
 from slippulse_jax.cli.fit import command
-from slippulse_jax.domains import Domain
 from slippulse_jax.inference.model.check import suspicions
 from slippulse_jax.inference.model.parameters import Parameter
 from slippulse_jax.inference.result.verdict import Identifiability

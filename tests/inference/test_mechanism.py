@@ -10,11 +10,11 @@ from reports import unfolded
 from test_gauges import AREAL, LC, RATIO, STRENGTH, UNIT, YOUNG, table
 
 import slippulse_jax as sp
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.model.fronts import front_for
 from slippulse_jax.inference.model.parameters import parameter_set
 from slippulse_jax.inference.search.likelihood import make_problem
-from slippulse_jax.status import Outcome
 
 FRICTION = 0.4
 

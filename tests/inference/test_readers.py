@@ -5,9 +5,9 @@ import tracemalloc
 import pytest
 from click.testing import CliRunner
 
+from slippulse_jax.base.files import read_whole
 from slippulse_jax.cli import main as cli
 from slippulse_jax.cli import sweep as sweep_command
-from slippulse_jax.files import read_whole
 from slippulse_jax.inference.result import record
 from slippulse_jax.inference.table import measurements, tables
 from slippulse_jax.inference.table.measurements import MeasurementError

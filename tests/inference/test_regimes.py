@@ -6,11 +6,11 @@ import random_tables
 
 import slippulse_jax as sp
 from benchmarks.regimes import counts, roots_missed, run, two
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.inference.model.parameters import parameter_set
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.inference.search.intervals import allowed_by_counts
 from slippulse_jax.inference.search.likelihood import make_problem
-from slippulse_jax.status import Outcome
 
 
 def whole(height, length):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import slippulse_jax
-from slippulse_jax.domains import Domain
+from slippulse_jax.base.domains import Domain
 
 
 def inside(found, name):

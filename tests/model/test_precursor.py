@@ -8,10 +8,10 @@ from oracles import dense_chain
 
 from slippulse_jax import Profile, Slider, SmoothBreak, first_precursor, precursor_length, precursor_lengths
 from slippulse_jax import lengths as bulk
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.bulk.chunks import over_lanes
-from slippulse_jax.front.front import Arrest
+from slippulse_jax.front.arrest import Arrest
 from slippulse_jax.rules import HardBreak
-from slippulse_jax.status import Outcome
 
 
 @pytest.mark.ci

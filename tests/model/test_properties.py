@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from oracles import dense_chain
 
 import slippulse_jax as sp
-from slippulse_jax import domains
+from slippulse_jax.base import domains
 
 pytestmark = pytest.mark.ci
 

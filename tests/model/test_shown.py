@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import slippulse_jax as sp
-from slippulse_jax.shown import html, short
+from slippulse_jax.base.shown import html, short
 
 SLIDER = sp.Slider(25.0, 0.03, 0.3)
 

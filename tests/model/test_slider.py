@@ -12,9 +12,9 @@ import pytest
 
 import slippulse_jax as sp
 from slippulse_jax import Slider, precursor, precursor_length
+from slippulse_jax.base.units import quantities
 from slippulse_jax.exact.front import exact_front_stress
 from slippulse_jax.slider import of_one_type
-from slippulse_jax.units import quantities
 
 SLIDER = Slider(25.0, 0.03, 0.3)
 

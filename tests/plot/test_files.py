@@ -14,8 +14,8 @@ from click.testing import CliRunner
 from matplotlib.figure import Figure
 
 import slippulse_jax as sp
+from slippulse_jax.base.files import FIGURE_FORMATS
 from slippulse_jax.cli.fit import command as fit_command
-from slippulse_jax.files import FIGURE_FORMATS
 from slippulse_jax.paper.figures import draw_figures
 
 SETTINGS = [

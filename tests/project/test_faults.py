@@ -9,8 +9,8 @@ import time
 
 import pytest
 
+from slippulse_jax.base.files import write_atomically
 from slippulse_jax.cli import cache
-from slippulse_jax.files import write_atomically
 
 
 @pytest.mark.parametrize("stage", ["fsync", "replace"])

@@ -24,7 +24,7 @@ PACKAGE = Path(slippulse_jax.__file__).parent
 
 # imports run from higher numbers to lower ones, or within a layer; equal numbers of different layers never meet
 LAYERS = {
-    "files": -2, "choices": -1, "shown": -1, "bulk": -1, "units": 0, "derivatives": 0, "domains": -0.5, "status": 0, "double_series": 0,
+    "base": -2, "bulk": -1, "double_series": 0,
     "slider": 1, "rules": 1, "interface": 1, "block": 2, "experiments": 3,
     "bodies": 3, "theory": 3,
     "front": 4, "exact": 5, "events": 5, "blocks": 6,

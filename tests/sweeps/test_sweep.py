@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 
 import slippulse_jax as sp
 from slippulse_jax import plot
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.modes import lattice_modes
-from slippulse_jax.status import Outcome
 from slippulse_jax.sweeps import outputs as table
 from slippulse_jax.sweeps import run
 from slippulse_jax.sweeps.request import INTERFACE, PARAMETERS, SLIDER, Request, make_axes

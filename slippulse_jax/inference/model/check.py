@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from slippulse_jax.domains import Domain
+from slippulse_jax.base.domains import Domain
 from slippulse_jax.inference.choices import Body, MeasuredEvent
 from slippulse_jax.inference.model.fronts import STIFFEST, Front, WholeEvent, front_for, front_of
 from slippulse_jax.inference.model.inputs import COMMON, Inputs

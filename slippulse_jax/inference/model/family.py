@@ -23,12 +23,12 @@ import numpy as np
 from jaxtyping import Float, Int
 from tqdm.auto import tqdm
 
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.blocks.size import FOLLOWED, MOST_HEIGHTS, extrapolated, followed, many, sites_at, suited, tall_lengths
 from slippulse_jax.bulk.chunks import distinct_rows, workers
 from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.model.interpolation import Grid
 from slippulse_jax.interface import Interface
-from slippulse_jax.status import Outcome
 
 AXES = {
     "poisson": 0.1, "prestress": 0.1, "log_push": 0.1, "log_push_width": 0.3, "log_ratio": 0.2, "friction": 0.02,

@@ -16,17 +16,19 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from slippulse_jax.base.choices import RightEnd
+from slippulse_jax.base.domains import FRICTION, check_choice
+from slippulse_jax.base.status import NotConverged, Outcome
+from slippulse_jax.base.units import machine_ratio
 from slippulse_jax.block import RIGID, USUAL_NORMAL_STIFFNESS
 from slippulse_jax.bodies.modes import FARTHEST as NO_END
 from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, distinct_rows, over_lanes
-from slippulse_jax.choices import RightEnd
-from slippulse_jax.derivatives import without_derivative
-from slippulse_jax.domains import FRICTION, check_choice
+from slippulse_jax.bulk.derivatives import without_derivative
 from slippulse_jax.exact import crack
 from slippulse_jax.exact.bulk import NEVER, exact_fronts
 from slippulse_jax.exact.crossing import expected_length
-from slippulse_jax.front.arrest import arrest
-from slippulse_jax.front.front import APPROACH, DEFAULT_MAX_CONTACTS, readings
+from slippulse_jax.front.arrest import DEFAULT_MAX_CONTACTS, arrest
+from slippulse_jax.front.front import APPROACH, readings
 from slippulse_jax.front.lanes import STIFFEST as STIFFEST_RUN_BACK
 from slippulse_jax.front.lanes import jet_kernel
 from slippulse_jax.inference.choices import Body, MeasuredEvent
@@ -51,9 +53,7 @@ from slippulse_jax.interface import Interface
 from slippulse_jax.lengths import arrests, length_rank
 from slippulse_jax.lengths import lengths as bulk_lengths
 from slippulse_jax.slider import Slider
-from slippulse_jax.status import NotConverged, Outcome
 from slippulse_jax.theory import block_decay_length
-from slippulse_jax.units import machine_ratio
 
 STIFFEST = 1.0
 """Largest k/K searched: a contact stiffer than the block of bulk it is attached to is outside the model."""

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slippulse_jax.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE
+from slippulse_jax.base.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE
 
 
 class Input(NamedTuple):

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from slippulse_jax.base.choices import did_you_mean
+from slippulse_jax.base.domains import in_unit, real_numbers
 from slippulse_jax.bulk.chunks import distinct_rows
-from slippulse_jax.choices import did_you_mean
-from slippulse_jax.domains import in_unit, real_numbers
 from slippulse_jax.inference.model.fronts import Front, front_of
 from slippulse_jax.inference.model.inputs import COMMON, Inputs
 from slippulse_jax.inference.table.columns import OVER_ALL

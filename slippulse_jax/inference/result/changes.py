@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.special import chdtrc, ndtri
 
+from slippulse_jax.base.shown import either, ends, format_number, plural
+from slippulse_jax.base.status import NotConverged
 from slippulse_jax.block import USUAL_NORMAL_STIFFNESS
 from slippulse_jax.inference.model.fronts import BlockEvent, BlockSequence, Front, front_for, front_of
 from slippulse_jax.inference.model.parameters import (
@@ -32,8 +34,6 @@ from slippulse_jax.inference.search.minima import DevianceGrid, between_contacts
 from slippulse_jax.inference.search.minimise import minimise
 from slippulse_jax.inference.table.columns import COLUMNS, IN_LC
 from slippulse_jax.inference.table.measurements import Measurements
-from slippulse_jax.shown import either, ends, format_number, plural
-from slippulse_jax.status import NotConverged
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result.result import FitResult

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
-from slippulse_jax.domains import real_numbers
+from slippulse_jax.base.domains import real_numbers
 from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.model.observables import predicted as of_observable
 from slippulse_jax.inference.model.parameters import Linear

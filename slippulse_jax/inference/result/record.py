@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin
 
 import numpy as np
 
-from slippulse_jax.files import file_name, plain, read_whole, shortened
+from slippulse_jax.base.files import file_name, plain, read_whole, shortened
+from slippulse_jax.base.status import Outcome
 from slippulse_jax.inference.choices import Loss
 from slippulse_jax.inference.model.check import checked
 from slippulse_jax.inference.model.fronts import Front
@@ -24,7 +25,6 @@ from slippulse_jax.inference.search.clouds import gathered
 from slippulse_jax.inference.search.likelihood import make_problem
 from slippulse_jax.inference.table.columns import GAUGE_COLUMNS, NUMERIC
 from slippulse_jax.inference.table.measurements import Gauges, Measurements
-from slippulse_jax.status import Outcome
 from slippulse_jax.theory import rebreaking_b
 
 if TYPE_CHECKING:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
+from slippulse_jax.base.shown import AS_GIVEN, TIED, ends, format_number, html, interval, listed, plural, value_with_error
 from slippulse_jax.block import USUAL_NORMAL_STIFFNESS
 from slippulse_jax.inference.model.fronts import ENDED, BlockSequence
 from slippulse_jax.inference.model.parameters import OF_MEASURING, STIFFNESSES, Free
@@ -40,7 +41,6 @@ from slippulse_jax.inference.search.likelihood import SCATTERED
 from slippulse_jax.inference.search.minima import SLACK
 from slippulse_jax.inference.table.columns import COLUMNS, READINGS, UNITS_OF_LENGTH
 from slippulse_jax.inference.table.measurements import Measurements
-from slippulse_jax.shown import AS_GIVEN, TIED, ends, format_number, html, interval, listed, plural, value_with_error
 from slippulse_jax.theory import length_ceiling, rebreaking_b
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slippulse_jax.files import write_atomically
+from slippulse_jax.base.files import write_atomically
 from slippulse_jax.inference.model.fronts import Regime
 from slippulse_jax.inference.model.parameters import STIFFNESSES, ParameterSet
 from slippulse_jax.inference.result import predicted, record, samples

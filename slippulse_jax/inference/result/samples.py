@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Array
 from scipy.special import expit, logit
 
-from slippulse_jax.domains import check_choice
-from slippulse_jax.files import plain
+from slippulse_jax.base.domains import check_choice
+from slippulse_jax.base.files import plain
 from slippulse_jax.inference.model.parameters import Free
 from slippulse_jax.inference.search.intervals import LEVELS
 from slippulse_jax.inference.search.likelihood import STUDENT_DOF, Problem

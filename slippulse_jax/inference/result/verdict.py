@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import chdtrc
 
+from slippulse_jax.base.shown import format_number
 from slippulse_jax.inference.model.parameters import STIFFNESSES, Free, ParameterSet
 from slippulse_jax.inference.search.intervals import LEVELS, Interval, Intervals, rise_of
 from slippulse_jax.inference.search.likelihood import Problem
 from slippulse_jax.inference.search.minima import SLACK, Curve, Found
 from slippulse_jax.inference.table.measurements import Measurements
-from slippulse_jax.shown import format_number
 
 UNCHANGED = "at that maximum the length does not change with stiffness"
 COVERED = (0.64, 0.93)

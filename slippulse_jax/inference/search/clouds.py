@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import qmc
 
-from slippulse_jax.domains import check_choice, check_domain
+from slippulse_jax.base.domains import check_choice, check_domain
 from slippulse_jax.inference.model.fronts import BlockSequence
 from slippulse_jax.inference.model.inputs import COMMON
 from slippulse_jax.inference.model.parameters import PARAMETERS, Free, ParameterSet

@@ -22,8 +22,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 from scipy.special import chdtrc, digamma, erf
 
+from slippulse_jax.base.shown import TIED, format_number, listed, plural
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
-from slippulse_jax.derivatives import by_forward_mode
+from slippulse_jax.bulk.derivatives import by_forward_mode
 from slippulse_jax.inference.choices import Loss
 from slippulse_jax.inference.model.fronts import BlockSequence, Front
 from slippulse_jax.inference.model.inputs import Inputs
@@ -31,7 +32,6 @@ from slippulse_jax.inference.model.observables import OBSERVED, predicted
 from slippulse_jax.inference.model.parameters import Linear, ParameterSet
 from slippulse_jax.inference.table.columns import READINGS
 from slippulse_jax.inference.table.measurements import Gauges, Measurements
-from slippulse_jax.shown import TIED, format_number, listed, plural
 
 STUDENT_DOF = 4.0
 SHARPEST = 1e-3

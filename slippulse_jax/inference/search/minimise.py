@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import expit, logit
 
-from slippulse_jax.domains import check_choice
+from slippulse_jax.base.domains import check_choice
+from slippulse_jax.base.status import Status
 from slippulse_jax.inference.choices import Method
 from slippulse_jax.inference.search.likelihood import Evaluation, Problem
-from slippulse_jax.status import Status
 
 TOLERANCE = 1e-12
 """Newton decrement g·H⁻¹g, over the value where that exceeds 1, at which a minimum is found: 10⁻⁶ standard errors away."""

@@ -15,8 +15,8 @@ from unicodedata import normalize
 
 import numpy as np
 
-from slippulse_jax.choices import ContactLaw, Control, Top
-from slippulse_jax.domains import (
+from slippulse_jax.base.choices import ContactLaw, Control, Top
+from slippulse_jax.base.domains import (
     CORRELATION_LENGTH,
     FRICTION,
     NORMAL_STIFFNESS,
@@ -26,7 +26,7 @@ from slippulse_jax.domains import (
     YOUNG,
     Domain,
 )
-from slippulse_jax.files import shortened
+from slippulse_jax.base.files import shortened
 from slippulse_jax.inference.choices import Template
 
 OVER_ALL = ("_N", "_N_per_m")

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slippulse_jax.domains import CORRELATION_LENGTH, real_numbers
+from slippulse_jax.base.domains import CORRELATION_LENGTH, real_numbers
+from slippulse_jax.base.shown import html, short
 from slippulse_jax.inference.table import tables
 from slippulse_jax.inference.table.columns import (
     COLUMNS,
@@ -31,7 +32,6 @@ from slippulse_jax.inference.table.columns import (
     named,
     named_of_gauges,
 )
-from slippulse_jax.shown import html, short
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -16,7 +16,7 @@ from unicodedata import name as name_of
 
 import numpy as np
 
-from slippulse_jax.files import file_name, read_whole
+from slippulse_jax.base.files import file_name, read_whole
 from slippulse_jax.inference.table.columns import (
     COLUMNS,
     IN_LC,

@@ -47,3 +47,7 @@ class Outcome(Status):
     SPANNED = 13, "ended by an event that broke the last contact of the chain"
     NOTHING_LEFT = 14, "ended early: no load brings a further contact to its threshold"
     LIFT_OFF = 15, "lifts off: a contact lost its pressure, beyond which the model does not go (length NaN)"
+
+
+FRONT_OUTCOMES = tuple(outcome for outcome in Outcome if outcome <= Outcome.RUN_AWAY)
+"""Possible outcomes of a front."""

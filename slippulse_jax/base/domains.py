@@ -5,9 +5,9 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from slippulse_jax.bulk.process import check_process
-from slippulse_jax.choices import did_you_mean
-from slippulse_jax.files import shortened
+from slippulse_jax.base.choices import did_you_mean
+from slippulse_jax.base.files import shortened
+from slippulse_jax.base.process import check_process
 
 
 class Domain(NamedTuple):

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 from jaxtyping import Array
 from numpy.typing import ArrayLike
 
-from slippulse_jax.domains import in_unit, real_numbers
-from slippulse_jax.files import shortened
+from slippulse_jax.base.domains import in_unit, real_numbers
+from slippulse_jax.base.files import shortened
 
 Numbers = Array | ArrayLike
 """Types that a constructor accepts as numbers, including sequences."""

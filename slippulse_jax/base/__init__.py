@@ -1,0 +1,1 @@
+"""What is no physics: outcomes, numbers with units and domains, choices, printing, files and processes."""
