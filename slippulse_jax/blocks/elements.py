@@ -1,4 +1,4 @@
-"""Slabs of a block under two-dimensional elasticity: graded columns of rectangular elements over one contact.
+"""Slabs of a block: graded columns of rectangular elements over one contact.
 
 Elements are biquadratic: nine nodes each, of which those in the middle of a column are eliminated at once. Two of them lie side
 by side over a contact, more over that at the edge; they are graded upwards from the interface and away from the pusher, whose
@@ -30,7 +30,7 @@ BELOW, NEAR, OVER, ABOVE = 5, 6, 8, 12
 
 
 def heights(block: Block, finer: int = 0) -> Float[Array, " nodes"]:
-    """Heights of the nodes of a column, the ends of the pusher among them."""
+    """Heights of the nodes of a column, the pusher's ends included."""
     H, (low, high) = jnp.asarray(block.height), block.push.reach
     times = 2**finer
 
@@ -58,10 +58,11 @@ def heights(block: Block, finer: int = 0) -> Float[Array, " nodes"]:
 
 
 def _integrals() -> tuple[np.ndarray, np.ndarray]:
-    """Integrals of the strain energy of a biquadratic element, of unit sides, and of what is linear in u along its lower edge.
+    """Integrate over a biquadratic element of unit sides, and its lower edge.
 
-    Strains (ε_x, ε_y, 2 ε_xy) are a sum of those that go with 1/width and with 1/height. Of the energies the axes are which
-    of the two, twice, and which strain, twice, before (u_x, u_y) of nine nodes, row by row from below, twice.
+    Of the strain energy; and of what is linear in u along that edge. Strains (ε_x, ε_y, 2 ε_xy) are a sum of those that go with
+    1/width and with 1/height. Of the energies the axes are which of the two, twice, and which strain, twice, before (u_x, u_y)
+    of nine nodes, row by row from below, twice.
     """
     at, weight = np.polynomial.legendre.leggauss(3)
     shape = np.array([at * (at - 1) / 2, 1 - at * at, at * (at + 1) / 2])
@@ -79,7 +80,7 @@ _MEANS = _PRODUCTS.sum(0)
 
 
 def element(width: Array | float, height: Array, poisson: Array) -> Float[Array, "18 18"]:
-    """Stiffness of a rectangle under plane stress, E = 1; (u_x, u_y) of nine nodes, row by row from below."""
+    """Stiffness of a rectangle under plane stress, freedoms as in `_integrals`."""
     one, none = jnp.ones_like(poisson), jnp.zeros_like(poisson)
     elastic = jnp.stack(
         [jnp.stack([one, poisson, none]), jnp.stack([poisson, one, none]), jnp.stack([none, none, (1 - poisson) / 2])]
@@ -90,7 +91,7 @@ def element(width: Array | float, height: Array, poisson: Array) -> Float[Array,
 
 
 def freedoms(block: Block, nodes: int) -> np.ndarray:
-    """Numbers of the freedoms of a column among (u_x, u_y) of its nodes, without u_y at an interface or a top that holds it."""
+    """Numbers of a column's freedoms among (u_x, u_y), without any u_y held."""
     held = [1] * (block.normal_stiffness is None) + [2 * nodes - 1] * (block.top == "held")
     return np.delete(np.arange(2 * nodes, dtype=np.int32), held)
 
@@ -116,7 +117,7 @@ def slabs(block: Block, finer: int = 0) -> tuple[Slab, Slab]:
 
 
 def _in_a_row(count: int, readings: int) -> Float[np.ndarray, "count s r"]:
-    """Where the readings of each of several slabs lie among those of all.
+    """Place the readings of each of several slabs among those of all.
 
     Of each they are the mean along the interface, which adds up, and perhaps nodes across it, the last the next slab's first.
     """
@@ -149,7 +150,7 @@ def _springs(block: Block, width: Float[np.ndarray, " m"]) -> Springs:
 
 
 def widths(finer: int = 0) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " n"]]:
-    """Widths of the elements over contact 0, from the pusher on, and over any other, in λc."""
+    """Widths of elements over contact 0, from the pusher, and over others."""
     count = 2**finer
     return np.diff(np.linspace(0, 1, CORNER * count + 1) ** POWER), np.full(2**HALVINGS * count, 0.5**HALVINGS / count)
 
@@ -185,13 +186,13 @@ def _column(block: Block, y: Float[Array, " nodes"], width: Array, along: Along)
 
 
 def _kept(rows: Float[Array, "m n"], keep: np.ndarray) -> Float[Array, "k n"]:
-    """Some of the rows, in slices: picking them one by one takes longer than all the rest."""
+    """Some rows, by slices: picking each takes longer than all the rest."""
     ends = np.flatnonzero(np.diff(keep) > 1) + 1
     return jnp.concatenate([rows[part[0] : part[-1] + 1] for part in np.split(keep, ends)])
 
 
 def loaded(block: Block, finer: int = 0) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    """Push on column 0: 1 for the freedoms that the pusher displaces, and forces on the others, of a uniform traction."""
+    """Ones for displaced freedoms of column 0; forces of a uniform traction."""
     y, push = heights(block, finer), block.push
     # by number, not by height: which nodes are pushed never changes
     number, below = np.arange(y.size) / 2 / 2**finer, 0 if push.height is None else BELOW + NEAR

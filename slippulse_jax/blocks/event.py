@@ -1,4 +1,4 @@
-"""Events of a block under two-dimensional elasticity, on a given number of its contacts: any contacts, in any order.
+"""Events of an elastic block on a given number of its contacts.
 
 The most overloaded contact breaks next, the pusher held: the cascade of a chain (`slippulse_jax.events.event`). In the first
 front every contact breaks at most once, as on a slider. Every contact stays attached to the body, so a break costs one row of a
@@ -33,7 +33,7 @@ from slippulse_jax.interface import AnyInterface, Profile
 
 
 class BlockPrecursor(eqx.Module):
-    """The first precursor of a block. Lengths are in λc, displacements in u_s, stresses in σ_s."""
+    """First precursor of a block: lengths in λc, displacements u_s, stresses σ_s."""
 
     block: Block
     nucleation: Int[Array, ""]  # contact that breaks first
@@ -70,16 +70,13 @@ class BlockPrecursor(eqx.Module):
 
 
 def unattached(block: Block, finer: int = 0) -> tuple[Edge, Slab]:
-    """The block as a waveguide without springs, which serves contacts of any stiffness.
-
-    On a mesh that is `finer` by so many halvings.
-    """
+    """The block as a waveguide without springs, for contacts of any stiffness."""
     layers, slab = elements.slabs(block, finer)
     return waveguide.edge(layers, *elements.loaded(block, finer)), slab
 
 
 def guide_of(block: Block, finer: int = 0, bare: tuple[Edge, Slab] | None = None) -> Guide:
-    """The block as a waveguide, its contacts attached; `bare` is what `unattached` makes of it."""
+    """The block as a waveguide with contacts attached; `bare` is from `unattached`."""
     length = None if block.length is None else jnp.asarray(block.length)
     edge, slab = unattached(block, finer) if bare is None else bare
     return waveguide.guide(edge, slab, elements.springs(block, finer), elements.along(block, finer), length)
@@ -109,7 +106,7 @@ def contacts_of(block: Block, interface: AnyInterface, sites: int, bare: tuple[E
 def precursor_of(
     block: Block, interface: AnyInterface, sites: int, kind: EventKind, bare: tuple[Edge, Slab] | None = None
 ) -> BlockPrecursor:
-    """Compute the event of one block on its first `sites` contacts; `bare` as for `guide_of`."""
+    """Event of one block on its first `sites` contacts; `bare` from `unattached`."""
     body = contacts_of(block, interface, sites, bare)
     found, start = first_event(body, kind=kind)
     pinning, before, stress, pressure = found.released, start.readings[0], found.stress, found.pressure
@@ -136,7 +133,7 @@ def precursor_of(
 
 
 def with_friction(body: Relaxed, friction: Array) -> Relaxed:
-    """Contacts whose threshold follows their pressure, at a coefficient of friction, from those at 1."""
+    """Rescale contacts from a coefficient of friction of 1 to `friction`."""
     if body.pressed is not None:
         return body._replace(pressed=body.pressed._replace(friction=friction))
     matrix, push = (x.at[..., 1:, :].multiply(friction) for x in (body.response.matrix, body.response.push))
@@ -144,7 +141,7 @@ def with_friction(body: Relaxed, friction: Array) -> Relaxed:
 
 
 class BlockFields(NamedTuple):
-    """Displacements in u_s at the nodes of the block; rows are columns of nodes, one λc apart."""
+    """Displacements at the nodes of a block, in u_s, column by column."""
 
     x: Float[Array, " columns"]  # in λc
     y: Float[Array, " nodes"]  # in λc
@@ -153,7 +150,7 @@ class BlockFields(NamedTuple):
 
 
 def fields(block: Block, load: Array, pinning: Float[Array, " N"]) -> BlockFields:
-    """Displacements of a block under a load and pinning points of its first contacts; of all, if it has an end.
+    """Displacements of a block under a load, given its first pinning points.
 
     At nucleation ``fields(found.block, found.load, 0 * found.pinning)``, after the event ``fields(…, found.pinning)``.
 
@@ -185,7 +182,7 @@ def _fields(block: Block, load: Array, pinning: Float[Array, " N"], guide: Guide
 def stages(
     block: Block, interface: AnyInterface, sites: int, breaks: Int[Array, " n"], kind: EventKind
 ) -> tuple[Float[Array, "n N"], Float[Array, "n N"], Float[Array, "n N cells"]]:
-    """Stresses after so many breaks of the first precursor, 0 for none; in σ_s.
+    """Stresses after so many breaks of the first precursor, in σ_s.
 
     On the contacts; their thresholds, which follow the pressure where there is friction; and σ_xy in the block over each
     contact, from one node to the next (`slippulse_jax.blocks.elements.heights`), without the prestress.

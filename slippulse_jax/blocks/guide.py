@@ -1,4 +1,4 @@
-r"""A half-infinite uniform waveguide on contacts that are attached at all times: what pinning points and the push do to them.
+r"""Response of contacts that stay attached to a half-infinite uniform waveguide.
 
 Columns of n freedoms x_0, x_1 … lie one λc apart. Between two of them is a slab with one contact, whose spring k holds their
 mean along the interface, ⟨u⟩_i = w_l·x_i + w_r·x_{i+1} (and s times its own force), to a pinning point. A break only moves that
@@ -69,7 +69,7 @@ And the displacements of column 0 per unit of the load, per force on what the sl
 
 
 class End(NamedTuple):
-    """A free end at column L, and what a force on that column does in the half-infinite guide."""
+    """A free end at column L, and responses to a force there."""
 
     length: Array  # L, the number of contacts before it
     back: Array  # (X⁻¹ − G_L)⁻¹, force that takes X away per displacement of column L
@@ -80,7 +80,7 @@ class End(NamedTuple):
 
 
 class Guide(NamedTuple):
-    """A waveguide that is pushed at column 0, in the quantities of this module."""
+    """A waveguide pushed at column 0, in the quantities of this module."""
 
     edge: Slab  # from the load to column 1
     start: Float[Array, "n 2+n"]  # column 0 per unit of the load, of the pinning point of contact 0, and of column 1
@@ -152,7 +152,7 @@ def placed(slab: Slab, rows: Float[np.ndarray, "... s r"]) -> Slab:
 
 
 def doubled(slab: Slab, along: Along, rows: Float[np.ndarray, "2 s r"] | None = None) -> Slab:
-    """Join two slabs in a row; where the readings of either lie, the same ones by default."""
+    """Join two slabs in a row; readings coincide unless `rows` place them."""
     first, second = (slab, slab) if rows is None else (placed(slab, one) for one in rows)
     apart = Slab(
         slab.left, jnp.zeros_like(slab.across), slab.right, first.reading_left, second.reading_right, first.own + second.own
@@ -163,7 +163,7 @@ def doubled(slab: Slab, along: Along, rows: Float[np.ndarray, "2 s r"] | None = 
 def joined(
     sides: Slab, toward: Float[Array, "n n"], middle: Float[Array, "n n"], read: Float[Array, "r n"], along: Along
 ) -> Slab:
-    """Eliminate the column in the middle of a slab; what reads it is passed on to the outer columns, `sides`.
+    """Eliminate a slab's middle column; its outer `sides` take over the readings.
 
     A slab is its own mirror image: with S, 1 along the guide and −1 across it, D_11 = S D_00 S. So displacements of the middle
     along and across the guide do not act on each other: each half is inverted by itself. `toward` is the stiffness between the
@@ -184,7 +184,7 @@ def joined(
 
 
 def _halves(along: Along, n: int) -> tuple[list[np.ndarray], np.ndarray]:
-    """Numbers of the freedoms along the guide and of those across it, and S."""
+    """Numbers of the freedoms along the guide and across it, and S."""
     of_x = np.isin(np.arange(n), along)
     return [np.flatnonzero(of_x).astype(np.int32), np.flatnonzero(~of_x).astype(np.int32)], np.where(of_x, 1.0, -1.0)
 
@@ -210,7 +210,7 @@ def attached(slab: Slab, springs: Springs) -> tuple[Slab, Float[Array, "r r"]]:
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))
 def driving_point(slab: Slab, along: Along) -> Float[Array, "n n"]:
-    """X of the half-infinite guide: twice as many slabs each time, until the far end is not felt."""
+    """X of the half-infinite guide, by doubling until no end is felt."""
 
     def felt(state: tuple[Slab, Int[Array, ""]]) -> Array:
         slabs, count = state
@@ -226,7 +226,7 @@ def driving_point(slab: Slab, along: Along) -> Float[Array, "n n"]:
 
 @driving_point.defjvp
 def _driving_point_jvp(along: Along, primals: tuple[Slab], tangents: tuple[Slab]) -> tuple[Array, Array]:
-    """One slab more changes nothing: dX = F + Tᵀ dX T, F from the change of that slab."""
+    """One slab more changes nothing: dX = F + Tᵀ dX T."""
     (slab,), (change,) = primals, tangents
     X = driving_point(slab, along)
     T = -inverse_of_definite(X + slab.right) @ slab.across.T
@@ -250,7 +250,7 @@ def _over_columns(T: Float[Array, "n n"], first: Float[Array, " n"]) -> Float[Ar
 
 
 def _by_doubling(T: Float[Array, "n n"], first: Array, carried: Callable[[Array, Array], Array]) -> Array:
-    """Sum over m of what T^m carries on, by twice as many terms each time, until no more is carried."""
+    """Sum over m of what T^m carries on, by doubling the terms."""
 
     def felt(state: tuple[Array, Array, Array]) -> Array:
         power, _, count = state
@@ -264,7 +264,7 @@ def _by_doubling(T: Float[Array, "n n"], first: Array, carried: Callable[[Array,
 
 
 def edge(layers: Slab, displaced: Float[Array, " n"], force: Float[Array, " n"]) -> Edge:
-    """Eliminate what lies left of column 1, but for the springs of contact 0.
+    """Eliminate what lies left of column 1, except springs of contact 0.
 
     The `layers` lie over contact 0 from the pusher on, along a leading axis; `displaced` is 1 for the freedoms of column 0 that
     move with the pusher, and `force` that on the others per unit of the load.
@@ -301,9 +301,9 @@ def edge(layers: Slab, displaced: Float[Array, " n"], force: Float[Array, " n"])
 def guide(
     edge: Edge, slab: Slab, springs: tuple[Springs, Springs], along: Along, length: Int[Array, ""] | None = None
 ) -> Guide:
-    """The guide of a slab on contacts; half-infinite, or of `length` slabs, two or more, with a free end.
+    """Guide of a slab on contacts, half-infinite or with a free end.
 
-    Edge and slab are without their springs. The freedoms that are not `along` the guide are across it.
+    It ends after `length` slabs, two or more. Edge and slab are without springs. Freedoms not `along` the guide are across it.
     """
     (bare, start), slab = edge, attached(slab, springs[1])[0]
     at_edge, pull = attached(bare, springs[0])
@@ -354,13 +354,13 @@ def readings(guide: Guide, sites: int) -> Float[Array, "N r n"]:
 
 @jax.custom_jvp
 def _carried(T: Float[Array, "n n"], given: Float[Array, "N r n"]) -> Float[Array, "N r n"]:
-    """Rows that T carries from column to column, with what each column is given."""
+    """Rows that T carries from column to column, adding what is `given`."""
     return lax.scan(lambda q, here: ((after := q @ T + here), after), jnp.zeros_like(given[0]), given)[1]
 
 
 @_carried.defjvp
 def _carried_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
-    """What a change of T gives to all columns is one product, in reverse mode too."""
+    """Differentiate by one product for all columns, in reverse mode too."""
     T, found = primals[0], _carried(*primals)
     return found, _carried(T, tangents[1].at[1:].add(found[:-1] @ tangents[0]))
 
@@ -368,10 +368,10 @@ def _carried_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) ->
 def compliance(
     guide: Guide, sites: int, read: int = 1, sources: int = 1
 ) -> tuple[Float[Array, "N s r N"], Float[Array, "r N"]]:
-    """A and t of the first `sites` contacts, in O(sites² n); of a guide that ends, of at least all, and 0 beyond.
+    """A and t of the first `sites` contacts, in O(sites² n).
 
     A, of shape (sites, sources, read, sites), is the reading per force, that of the source first; t the reading per load. With
-    so many of the readings, and of those along which forces act.
+    so many of the readings, and of those along which forces act. On one that ends, `sites` cover all; both are 0 beyond.
     """
     slab, q = guide.slab, readings(guide, sites)[:, :read]
     none = jnp.zeros_like(q[:1])
@@ -429,7 +429,10 @@ def response(guide: Guide, contact: Array, sites: int, relief: Array | None = No
 
 
 def columns(guide: Guide, contact: Array, load: Array, pinning: Float[Array, " N"]) -> Float[Array, "N+1 n"]:
-    """Displacements of columns 0 … N under a load and pinning points of the first N contacts; of a guide that ends, of all."""
+    """Displacements of columns 0 … N, given load and N pinning points.
+
+    Those of the first N contacts; of a guide that ends, of all.
+    """
     edge, slab, T = guide.edge, guide.slab, guide.transfer
     left, right = (jnp.outer(pinning[1:], x[0]) for x in (slab.reading_left, slab.reading_right))
     force = jnp.pad(left, ((0, 1), (0, 0))) + jnp.pad(right, ((1, 0), (0, 0)))

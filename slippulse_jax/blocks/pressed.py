@@ -1,9 +1,9 @@
-r"""Contacts of rough surfaces under a pressure that the push tilts: stiffness and threshold follow it.
+r"""Contacts of rough surfaces, whose stiffness and threshold follow the pressure.
 
-Where ever more asperities touch, the pressure is p = p̄ exp(−u_y/ℓ_n), both stiffnesses of a contact are proportional to it,
-and so is its threshold μp: it breaks at one stretch, u_s = μ ℓ_n k_n/k, whatever its pressure. With π_i = exp(−μ q_i),
-q_i = (k_n/k)⟨u_y⟩_i/u_s, and the stretch s_i = ⟨u_x⟩_i − u_b,i, a contact pulls at the block by π_i s_i and (1 − π_i)/μ, in
-σ_s.
+The push tilts it. Where ever more asperities touch, the pressure is p = p̄ exp(−u_y/ℓ_n), both stiffnesses of a contact are
+proportional to it, and so is its threshold μp: it breaks at one stretch, u_s = μ ℓ_n k_n/k, whatever its pressure. With
+π_i = exp(−μ q_i), q_i = (k_n/k)⟨u_y⟩_i/u_s, and the stretch s_i = ⟨u_x⟩_i − u_b,i, a contact pulls at the block by π_i s_i and
+(1 − π_i)/μ, in σ_s.
 
 The springs of the uniform pressure belong to the block (`slippulse_jax.blocks.guide`), and what the contacts fall short of
 them acts on it as a force. Newton's method finds their balance and the load at which one breaks. While an event runs, the
@@ -21,7 +21,7 @@ from slippulse_jax.blocks.guide import Guide, compliance, held_by_all, inverse
 from slippulse_jax.bodies.response import Response, of_matrix
 from slippulse_jax.events.event import rises
 
-NEWTON_STEPS = 100
+BALANCE_STEPS = 100
 """Most steps of Newton's method; ten to twenty are usual."""
 
 
@@ -37,7 +37,7 @@ class Balance(NamedTuple):
 
 
 class Pressed(NamedTuple):
-    """Response of N contacts on springs of the uniform pressure, of ⟨u_x⟩ and then of ⟨u_y⟩, and what makes them follow it."""
+    """Response of N contacts, ⟨u_x⟩ then ⟨u_y⟩, on springs of uniform pressure."""
 
     matrix: Float[Array, "2N 2N"]  # displacement per force, both in those of a contact at its threshold
     push: Float[Array, " 2N"]  # displacement per load
@@ -59,11 +59,11 @@ class Pressed(NamedTuple):
         load: Array,
         rises: Callable[..., Float[Array, " N"]] = rises,
     ) -> Balance:
-        """Contacts under the first load, from a given one on, at which one is at its threshold; at that if none will be.
+        """Balance contacts at the first load at which one reaches its threshold.
 
-        The rise of the load to there is that of `rises`, given push, threshold and stretch.
-        Differentiable: after Newton's method, with the derivatives of its first point, has converged, one true step carries
-        those of the result.
+        The first from `load` on, or `load` itself if none will. The rise of the load to there is that of `rises`, given push,
+        threshold and stretch. Differentiable: after Newton's method, with the derivatives of its first point, has converged,
+        one true step carries those of the result.
         """
         sites, free = threshold.size, pinning - prestress
 
@@ -75,7 +75,7 @@ class Pressed(NamedTuple):
             return stretch, q, pressure, jnp.concatenate([z[:sites] + prestress - pressure * stretch, q - pull])
 
         def linear(z: Array) -> tuple[tuple[Array, Array], Array]:
-            """Derivatives of the force, in ⟨u_x⟩ and in ⟨u_y⟩ of the same contact, and the inverse of 1 − M times them."""
+            """Derivatives D of force in ⟨u_x⟩, ⟨u_y⟩, and (1 − M D)⁻¹."""
             stretch, _, pressure, _ = at(z)
             less = 1 - pressure
             along, across = jnp.concatenate([less, self.normal * less]), self.normal * self.friction * pressure * stretch
@@ -95,7 +95,7 @@ class Pressed(NamedTuple):
 
         def far(state: tuple[Array, Array, Array]) -> Array:
             z, before, count = state
-            return (jnp.abs(z - before).max() > 1e3 * jnp.finfo(z.dtype).eps * jnp.abs(z).max()) & (count < NEWTON_STEPS)
+            return (jnp.abs(z - before).max() > 1e3 * jnp.finfo(z.dtype).eps * jnp.abs(z).max()) & (count < BALANCE_STEPS)
 
         def search(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
             return step(state[0], *near)[0], state[0], state[2] + 1

@@ -1,4 +1,4 @@
-"""Number of contacts followed on a block: enough for the event to stop, or fewer and larger ones where the block is tall.
+"""Number of contacts followed on a block, and their size.
 
 The contacts resolved grow in number until the event stops before the last of them. Of a tall block they are too many, but a
 length over H depends on their size only as 1/n, n being the number that breaks. So the event is followed on larger contacts of
@@ -135,9 +135,9 @@ Found = TypeVar("Found", Array, BlockPrecursor)
 
 
 def resolved(given: tuple[Any, ...], sites: int | None, event: Callable[..., Found]) -> Found:
-    """Compute an event, a record or a length, on the contacts asked for, all that there are, or enough for it to stop.
+    """Compute an event on the contacts that it needs.
 
-    Of a block or slider, on an interface and by a rule.
+    A record or length of block or slider, interface and rule: on `sites` contacts, all there are, or enough for it to stop.
     """
     if sites is not None:
         check_whole("sites", sites, 2)
@@ -161,7 +161,7 @@ def resolved(given: tuple[Any, ...], sites: int | None, event: Callable[..., Fou
 
 
 def _warn_of_few_sites(block: Block, sites: int | None, length: Array) -> None:
-    """Say that an event reached the last contact resolved of a block that goes on."""
+    """Warn that an event reached the last resolved contact, not an end."""
     if sites is not None and block.length is None and not isinstance(length, Tracer) and np.isposinf(length):
         warnings.warn(
             f"sites = {sites}: the event reached the last contact resolved, so its length is not known (inf); give more",
@@ -176,9 +176,9 @@ Body = tuple[Block, Interface | None]
 
 
 def tall_length(block: Block, interface: Interface | None, kind: EventKind) -> tuple[Array, Array]:
-    """ℓ of one tall block from larger contacts of the same b, and how far it may be off.
+    """ℓ of one tall block from larger contacts, and its possible error.
 
-    A ValueError if the event does not stop within what can be followed.
+    The contacts are of the same b. A ValueError if the event does not stop within what can be followed.
     """
     one = jax.tree.map(lambda x: x[None], known((block, interface), NO_SITES))
     height, sites, fine, rough = _views(one, kind)[:, 0]
@@ -201,7 +201,7 @@ def _b(block: Block) -> Any:
 
 
 def extrapolated(fine: Any, rough: Any, height: Any, tall: Any, b: Any) -> tuple[Any, Any]:
-    """ℓ of a block from those on contacts of two sizes, at H/λc = `height` and half of it; and how far it may be off.
+    """Extrapolate ℓ from H/λc = `height` and half that, with its error.
 
     The length of an event of n breaks has a relative error of order 1/n; extrapolation leaves about a quarter of its own
     correction, and as much as that from b = 20 on, where stresses change within few contacts. Lengths that differ by more than
@@ -214,7 +214,7 @@ def extrapolated(fine: Any, rough: Any, height: Any, tall: Any, b: Any) -> tuple
 
 
 def suited(length: float, own: float, end: float = np.inf, share: float = 1.0) -> float:
-    """H/λc of contacts of which an event of known ℓ/H breaks `BREAKING`; not more than its `own`.
+    """H/λc, up to `own`, at which a known ℓ/H breaks `BREAKING` contacts.
 
     A block that ends at L/H has a whole number of them, of twice their size too; of `OF_END` per height a `share` is followed.
     """
@@ -227,7 +227,7 @@ def suited(length: float, own: float, end: float = np.inf, share: float = 1.0) -
 
 
 def sites_at(height: float, end: float = np.inf) -> int:
-    """Contacts followed at H/λc: all of a block that ends at L/H, up to the next power of two."""
+    """Contacts followed at H/λc, a power of two that covers any end."""
     return FOLLOWED if np.isinf(end) else max(FOLLOWED, 1 << int(np.ceil(np.log2(end * height - 1e-6))))
 
 
@@ -236,7 +236,7 @@ def _alike(fine: Any, rough: Any) -> Any:
 
 
 def coarser(body: Body, height: Any) -> Body:
-    """One block, or many, on larger contacts of the same areal stiffness, at H/λc = `height`."""
+    """Blocks on larger contacts, H/λc = `height`, of the same areal stiffness."""
     block, interface = body
     larger = block.height / height
     contacts = eqx.tree_at(lambda x: (x.height, x.stiffness), block, (np.asarray(height), block.stiffness * larger))
@@ -281,7 +281,7 @@ def _views(body: Body, kind: EventKind) -> Float[np.ndarray, "4 n"]:
 
 
 def _fitting(body: Body, sites: int, kind: EventKind) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find H/λc, at most those of the blocks, at which events fit `sites` contacts; ℓ there; whether finer ones did not.
+    """Find H/λc where events fit `sites` contacts; ℓ; whether finer ones failed.
 
     An event should break `ENOUGH` of `FOLLOWED` contacts. One that breaks them all although they reach over `MOST_HEIGHTS` has
     no length (inf): on still larger contacts it would stop only because they are so large.
@@ -320,7 +320,7 @@ def many(
     contact_law: ContactLaw = "amontons",
     top: Top = "free",
 ) -> Block:
-    """Many blocks as one, of arrays; under patches, or under pushes that cover everything above a height."""
+    """Many blocks as one, of arrays, pushed on patches or above heights."""
     push = Push(0.5, None if push_width is None else 0.5, control)
     ended, sprung, rubbing = (None if x is None else 2.0 for x in (length, normal_stiffness, friction))
     one = Block(2.0, 1.0, 0.0, push, "stress", ended, sprung, rubbing, contact_law, top)
@@ -332,7 +332,7 @@ def many(
 
 
 def lengths(block: Block, interface: Interface | None, kind: EventKind) -> Float[np.ndarray, " n"]:
-    """ℓ of many half-infinite blocks, each as `precursor_length` has it to rounding, inf where that refuses."""
+    """ℓ of many half-infinite blocks: `precursor_length` to rounding, inf where it refuses."""
     body, height = (block, interface), np.asarray(block.height)
     tall, short = (np.nonzero(side)[0] for side in (height > TALL, height <= TALL))
     found = np.empty(height.size)
@@ -348,7 +348,7 @@ def lengths(block: Block, interface: Interface | None, kind: EventKind) -> Float
 
 
 def tall_lengths(block: Block, interface: Interface | None, kind: EventKind) -> tuple[np.ndarray, np.ndarray]:
-    """ℓ of many blocks from larger contacts, and how far each may be off; shapes (n,).
+    """ℓ of many blocks from larger contacts, and possible errors; shapes (n,).
 
     Lengths are 0 where no domino starts, inf where the event does not stop within the contacts followed, and NaN where the
     block lifts off. The error of an infinite length is set to H, for the blocks beside it in a table.
@@ -366,7 +366,7 @@ def _some(body: Body, which: Any) -> Body:
 
 
 def _events(body: Body, sites: int, kind: EventKind) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Lengths, contacts broken and statuses of many blocks, or of none; shapes (n,)."""
+    """Lengths, contacts broken and statuses of many blocks, or none; shapes (n,)."""
     if not np.size(body[0].height):
         return np.empty(0), np.empty(0), np.empty(0)
     length, broken, status = followed(body, np.asarray(body[0].stiffness)[:, None], sites, kind)[:, :, 0, 0]
@@ -384,7 +384,7 @@ def followed(
     kind: EventKind,
     friction: Float[np.ndarray, "n f"] | None = None,
 ) -> Float[np.ndarray, "3 n m f"]:
-    """Length, contacts broken and status of the events of many blocks, each at several contact stiffnesses.
+    """Length, contacts broken and status of blocks at several contact stiffnesses each.
 
     The block itself is computed once for all stiffnesses. With `friction`, each is followed at several coefficients of it, and
     its response is computed once for all. NaN asks for nothing.

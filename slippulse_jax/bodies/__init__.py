@@ -1,4 +1,4 @@
-"""Bodies, by the effect of a push and of a break on every contact.
+"""Bodies: the effect of a push and a break on every contact.
 
 A uniform slider has two modes, by which a front costs O(1) per break. Any body has a response, by which its contacts break in
 any order. In the order in which they build on each other:

@@ -72,7 +72,7 @@ class Chain(eqx.Module):
         return self.contact.shape[-1]
 
     def relaxed(self, load: AnyArrayLike = 0.0) -> State:
-        """Make the state with pinning points at zero, under load U (in u_s)."""
+        """State with pinning points at zero, under load U (in u_s)."""
         return State(jnp.zeros_like(self.contact), jnp.asarray(as_float("load", load), dtype=self.contact.dtype))
 
     def contact_force(self, stretch: Array) -> Array:
@@ -85,7 +85,7 @@ class Chain(eqx.Module):
         return jnp.where(attached, self.contact_force(layer - pinning) / self.stiffness + self.prestress, 0)
 
     def contacts(self, interface: AnyInterface = None, sites: int | None = None) -> "Relaxed":
-        """Its contacts before loading, all of them and its own, and what a push and a break do to them."""
+        """All contacts of this chain before loading, and their response."""
         from slippulse_jax.events.first import contacts_of_chain  # above: the body says where, and loads nothing else
 
         check_linear(self, "what breaks do to a chain")
@@ -180,7 +180,7 @@ def chain(
 
 
 def _sites_of(slider: Slider, sites: int | None) -> int:
-    """Number of sites of a chain: all of a slider that ends, and no machine at its edge."""
+    """Number of sites, all of a slider that ends; refuse a machine."""
     if slider.machine is not None:
         raise ValueError(
             f"Slider.machine = {slider.machine}: the edge of a chain is displaced; pull it through Spring(…) in a series"
@@ -222,11 +222,11 @@ def potential_energy(chain: Chain, x: tuple[Array, Array], pinning: Array) -> Fl
 
 
 def endless(bonds: Springs, contact: Array) -> Springs:
-    """Reduce an endless uniform half-line, which begins with its first bond, to three equivalent springs.
+    """Reduce an endless uniform half-line to three equivalent springs.
 
-    In mode m the displacement falls by a factor r_m per site, so a bond pulls back with its stiffness times (1 − r_m): the
-    end is B g(M), with B = diag(K_L, K), M the 2×2 matrix of the bulk equations with eigenvalues κ_m², and
-    g(κ²) = 1 − r. For a 2×2 matrix g(M) = g_2 + (M − κ_2²)(g_1 − g_2)/(κ_1² − κ_2²).
+    It begins with its first bond. In mode m the displacement falls by a factor r_m per site, so a bond pulls back with its
+    stiffness times (1 − r_m): the end is B g(M), with B = diag(K_L, K), M the 2×2 matrix of the bulk equations with
+    eigenvalues κ_m², and g(κ²) = 1 − r. For a 2×2 matrix g(M) = g_2 + (M − κ_2²)(g_1 − g_2)/(κ_1² − κ_2²).
     """
     K_L, K, K_T = bonds
     kT2, b, q = K_T / K_L, K_T / K, contact / K
@@ -302,18 +302,18 @@ def eliminate(chain: Chain, contact: Float[Array, " N"]) -> Springs:
 
 
 def floats(chain: Chain, beyond: Springs) -> Bool[Array, ""]:
-    """Whether a part of a chain is attached to nothing, from its elimination."""
+    """Whether a part of a chain is attached to nothing."""
     site = beside(beyond, chain.across, chain.contact)
     return (determinant(held_from_left(chain, site)) <= 0).any() | (site.layer[0] + site.across[0] <= 0)
 
 
 def held_from_left(chain: Chain, site: Springs) -> Springs:
-    """Springs that hold sites 1 … N − 1, the bond to their left included."""
+    """Springs that hold sites 1 … N − 1, left bond included."""
     return Springs(site.upper[1:] + chain.upper, site.layer[1:] + chain.layer, site.across[1:])
 
 
 def carried_over(held: Springs, bond: Pair) -> tuple[Pair, Pair]:
-    """Displacements of a site per unit displacement beyond a bond of each layer.
+    """Displacements of a site per displacement beyond a bond of each layer.
 
     `held` are the springs that hold the site, the bond's included. The first pair is per displacement of the upper layer.
     """

@@ -74,9 +74,9 @@ def equilibrium(chain: Chain, state: State) -> Equilibrium:
 
 
 def in_balance(valid: Array, safe: Chain, state: State, beyond: Springs) -> Equilibrium:
-    """Solve for the `equilibrium` of a chain that has been eliminated, with its contacts, to the springs `beyond`.
+    """Solve for the `equilibrium` of a chain that has been eliminated.
 
-    `valid`, of shape (), says whether chain and state are those that were given, or have been replaced (`or_harmless`).
+    `beyond` is that elimination, with its contacts; `valid`, shape (), is false where `or_harmless` replaced chain and state.
     """
     (upper, layer), converged = solve(safe, state, lax.stop_gradient(beyond))
     end = safe.end.upper * upper[-1] + safe.end.layer * layer[-1]
@@ -137,7 +137,7 @@ def imbalance(chain: Chain, state: State, x: Pair) -> Pair:
 
 
 def forces(chain: Chain, pinning: Array, x: Pair) -> Pair:
-    """Sum the forces of springs and contacts on every site, in K u_s, without the prestress.
+    """Sum spring and contact forces per site, without prestress, in K u_s.
 
     Of linear contacts minus the gradient of `potential_energy`; written out, because the compiled gradient is a third slower.
     """
@@ -161,7 +161,7 @@ def _springs(chain: Chain, x: Pair) -> Pair:
 
 
 def _gross(chain: Chain, state: State, x: Pair) -> Array:
-    """Largest sum over the springs of a site of stiffness times displacement, none with its sign."""
+    """Largest sum of |stiffness × displacement| over the springs of a site."""
     upper, layer = jnp.abs(x[0]), jnp.abs(x[1])
     none, end = jnp.zeros(1, upper.dtype), chain.end
     along = (chain.upper * (upper[:-1] + upper[1:]), chain.layer * (layer[:-1] + layer[1:]))

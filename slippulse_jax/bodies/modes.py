@@ -38,9 +38,9 @@ FARTHEST = 1e30
 
 
 class Modes(eqx.Module):
-    """Everything the response of a uniform chain depends on; the leading axis runs over the two modes.
+    """Everything the response of a uniform chain depends on.
 
-    The `gap` 1 − r_m is held beside the ratio: for tall sliders r_2 is so near 1 that 1 − r_2 must not be recomputed.
+    The leading axis runs over the modes. The `gap` 1 − r_m is held too: r_2 of tall sliders is too near 1 to recompute it.
     """
 
     ratio: Float[Array, "2"]  # r_m, decay per site
@@ -89,9 +89,9 @@ def mode_numbers(
     end: tuple[RightEnd, Number] | None = None,
     machine: Number | None = None,
 ) -> dict[str, Any]:
-    """Fields of the `Modes` of one slider, as tuples of single numbers: a loop over lanes computes each of them once.
+    """Fields of the `Modes` of one slider, as tuples of single numbers.
 
-    `end` is the right end of a finite chain and its number of sites, `machine` is M/K.
+    A loop over lanes computes each once. `end` is the right end of a finite chain and its number of sites, `machine` is M/K.
 
     Notes
     -----
@@ -170,7 +170,7 @@ def _(primals: tuple[Number], tangents: tuple[Number]) -> tuple[Number, Number]:
 
 @jax.custom_jvp
 def _root(x: Number) -> Pair:
-    """√x and 1/√x, as a quotient: XLA would take an approximate reciprocal root."""
+    """√x and 1/√x, as a quotient: XLA's reciprocal root is approximate."""
     root = jnp.sqrt(x)
     return root, root / x
 
@@ -183,7 +183,7 @@ def _(primals: tuple[Number], tangents: tuple[Number]) -> tuple[Pair, Pair]:  # 
 
 
 class ChainFields(eqx.Module):
-    """Displacements along a chain with its pinning points, in u_s = f_s/k; the leading axis runs over the sites."""
+    """Displacements and pinning points along a chain, in u_s = f_s/k."""
 
     upper: Float[Array, " sites"]  # u_t
     layer: Float[Array, " sites"]  # u
@@ -192,7 +192,7 @@ class ChainFields(eqx.Module):
 
     @property
     def stress(self) -> Float[Array, " sites"]:
-        """All that the contact carries: σ_c = k(u − u_b)/λc² (label cra06), and its prestress, in σ_s."""
+        """σ_c = k(u − u_b)/λc² (label cra06) plus the prestress, in σ_s."""
         return self.layer - self.pinning + self.prestress
 
 

@@ -1,4 +1,4 @@
-"""Events in which contacts break in any order, the most overloaded next, on any body.
+"""Events of any body: contacts break in any order, most overloaded first.
 
 `event`             break after break at a fixed load: the one loop
 `first`             from a relaxed body to the load at which a contact breaks, and to the length of the event

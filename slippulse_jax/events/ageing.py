@@ -73,7 +73,7 @@ class Ageing(eqx.Module):
         return jnp.asarray(self.scale) * (velocity if self.clock == "time" else 1.0)
 
 
-CLOSE = 4
+LAST_PLACES = 4
 """Units in the last place of the load within which a crossing is known."""
 MOST_STEPS = 60
 """Most pairs of chord and tangent; three to five are usual."""
@@ -102,7 +102,7 @@ def next_crossing(
         return ageing.strength(age + rise, velocity)
 
     def farther(rise: Array, now: Array, growth: Array) -> Array:
-        """Rise where the stress meets a strength that grows linearly from here on."""
+        """Rise where the stress meets a strength that grows linearly from here."""
         left = pressure + lost * rise
         short = jnp.maximum(theta * now * left - stress - gain * rise, 0)
         slope, bend = theta * (growth * left + now * lost) - gain, theta * growth * lost
@@ -119,7 +119,7 @@ def next_crossing(
         known = jnp.where(jnp.isfinite(closer), closer, 0)
         above, growth = jax.jvp(strength, (known,), (jnp.ones_like(known),))
         high = jnp.minimum(high, jnp.where(jnp.isfinite(closer), farther(known, above, growth), jnp.inf))
-        return closer, high, closer > low + CLOSE * jnp.finfo(low.dtype).eps * (1 + low), count + 1
+        return closer, high, closer > low + LAST_PLACES * jnp.finfo(low.dtype).eps * (1 + low), count + 1
 
     def going(state: tuple) -> Array:
         low, high, moved, count = state

@@ -57,7 +57,7 @@ class Catalogue(NamedTuple):
     status: Int[Array, ""]  # an Outcome
 
     def table(self) -> dict[str, np.ndarray]:
-        """Return the columns of the catalogue as NumPy arrays, without its empty rows.
+        """Return the columns as NumPy arrays, without the empty rows.
 
         Raises
         ------
@@ -85,7 +85,7 @@ class Catalogue(NamedTuple):
         return html("Catalogue of events", rows, ["event", *map(heading, frame)], Outcome(int(self.status)).message)
 
     def to_dataframe(self) -> "pd.DataFrame":
-        """Return the events as a pandas.DataFrame, with classes in words and ``attrs["units"]``; pandas writes it."""
+        """Return a pandas.DataFrame with classes in words and ``attrs["units"]``; pandas writes it."""
         import pandas as pd
 
         frame = pd.DataFrame(self.table()).rename_axis("event")
@@ -129,11 +129,11 @@ class Catalogue(NamedTuple):
         return np.select([asked >= spanned, known], [np.inf, found], np.nan)
 
     def force_at(self, position: ArrayLike, strength: ArrayLike = 1.0) -> Float[Array, "..."]:
-        """Force at which the front first reaches a position, F^x(x): the twin of `reach`.
+        """Force at which the front first reaches a position, F^x(x).
 
         That on the edge, or on the pusher, as the first event begins that gets as far. An event that reached ℓ at the force F
         says F^x(ℓ) = F, however the front crept before it, and this hardly depends on how finely the edge is moved or on the
-        size of the contacts, as the number and the length of events do. Composes with ``jit`` and ``vmap``.
+        size of the contacts, as the number and the length of events do. Twin of `reach`; composes with ``jit`` and ``vmap``.
 
         Parameters
         ----------

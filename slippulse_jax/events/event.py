@@ -1,8 +1,8 @@
-"""One event of any body: contacts break one after another at a fixed load, the most overloaded first.
+"""One event of any body: contacts break in turn, load fixed.
 
-A break changes the readings of every contact by a known amount (`slippulse_jax.bodies.response`): its stress and, where its
-threshold follows the pressure, that too. A contact breaks where its stress reaches threshold times pressure, and releases the
-stress. The first contact whose pressure is used up lifts off, which ends the event.
+The most overloaded breaks next. A break changes the readings of every contact by a known amount, as in
+`slippulse_jax.bodies.response`: its stress and, where its threshold follows the pressure, that too. A contact breaks where its
+stress reaches threshold times pressure, and releases it. The first whose pressure is used up lifts off, which ends the event.
 
 A contact may repin some breaks after it broke. Until then it is detached and carries no stress: its pinning point follows the
 layer. Each break therefore moves the pinning points of all detached contacts such that their stress stays zero.
@@ -77,9 +77,9 @@ class Event(NamedTuple):
         return jnp.arange(self.times.size, dtype=jnp.int32)
 
     def length(self, excess: Float[Array, " N"], last: int | Array, alike: bool | Array = False) -> Float[Array, ""]:
-        """ℓ: where a curve of the excess over the threshold, through the last contacts that broke, falls to zero.
+        """ℓ: zero of the excess, by a curve through the last breaks.
 
-        The excess is that after the event; of those contacts, as they broke for the *first* time, as the front passed. By that
+        The excess is that after the event; of their contacts, as they broke for the *first* time, as the front passed. By that
         of a later break ℓ would fall where the event becomes larger: a contact that just breaks again has no overload. If all
         are `alike` the curve reaches back over those that broke after all to their left; a straight line if one broke again.
         """
@@ -87,7 +87,7 @@ class Event(NamedTuple):
         return self.end(at, over, excess[jnp.minimum(at + 1, last)], degree)
 
     def front_of(self, alike: bool | Array) -> tuple[Array, Float[Array, " R"], Array]:
-        """Rightmost contact that broke, overloads of those before it, the nearest first, and the degree of the curve."""
+        """Rightmost broken contact, overloads back from it, and degree of the curve."""
         at = jnp.maximum(self.rightmost, 0)
         reached = at - jnp.arange(REACHED - 1, dtype=at.dtype)
         in_turn = (self.turn >= 0) & (self.turn == lax.cummax(self.turn)) & alike & (self.times.max() <= 1)
@@ -96,14 +96,14 @@ class Event(NamedTuple):
 
     @staticmethod
     def end(at: Array, over: Float[Array, " R"], excess: Array, degree: Array) -> Float[Array, ""]:
-        """ℓ from the overloads of contact `at` and those before it as they broke, and the excess on the next one."""
+        """ℓ from overloads back from contact `at`, and the next one's excess."""
         # rounding may leave a contact that was made to break just below its threshold
         excess, nearest = jnp.minimum(excess, 0), jnp.maximum(over[0], 0)
         return end_of_front((at + 1).astype(over.dtype), (excess, nearest, *over[1:]), degree)
 
 
 def overload(readings: Float[Array, "r *N"], threshold: Float[Array, "*N"]) -> Float[Array, "*N"]:
-    """How far contacts are over their threshold, which follows the pressure where that is read."""
+    """Excess of contacts over their thresholds, which follow the pressure where read."""
     if len(readings) == 1:
         return readings[0] - threshold
     return readings[0] - threshold * jnp.maximum(readings[1], jnp.finfo(readings.dtype).tiny)  # of threshold inf too
@@ -121,11 +121,12 @@ def event(
     delay: int = 0,
     log: tuple[Int[Array, " L+1"], Float[Array, " L+1"], int | Array] | None = None,
 ) -> Event:
-    """Break contacts until none is at its threshold, `limit` have broken, or contact `last` has.
+    """Break contacts until none is at its threshold.
 
-    Thresholds are inf where there is no contact, and `renewed` once it has broken. The contact `trigger` breaks first, whatever
-    its overload; −1, like that of `last`, for none. A broken contact stays detached for `delay` breaks, where no pressure is
-    read. `log` is arrays for the sites in order of breaking and what each released, and the place of the first break.
+    Or `limit` have broken, or contact `last` has. Thresholds are inf where there is no contact, and `renewed` once it
+    has broken. The contact `trigger` breaks first, whatever its overload; −1, like that of `last`, for none. A broken contact
+    stays detached for `delay` breaks, where no pressure is read. `log` is arrays for the sites in order of breaking and what
+    each released, and the place of the first break.
     """
     renewed = threshold if renewed is None else renewed
     zero, none = jnp.zeros_like(readings[0]), jnp.zeros((), jnp.int32)
@@ -137,9 +138,9 @@ def event(
         return (trigger >= 0) & (now.breaks == 0)
 
     def next_of(now: Event) -> tuple[Array, ...]:
-        """The largest overload; the contact that breaks next, its overload and stress, and whether it never broke.
+        """Find the largest overload, and the contact that breaks next.
 
-        Read here: to read an array that is written in the same step costs a copy of it.
+        With its overload, stress and whether it never broke. Read here: to read an array written in the same step copies it.
         """
         site, most_over = most(now.excess)
         site = jnp.where(forced(now), trigger, site)
@@ -181,7 +182,7 @@ def event(
 
 
 def _held(response: Response, now: Event, site: Array, detached: Int[Array, " n"]) -> tuple[Array, Array, Array, Array]:
-    """Break a contact, and move the pinning points of all detached ones so that none carries any stress.
+    """Break a contact, and keep all detached ones free of stress.
 
     Readings, what every contact released, of the broken one the displacement of its site as a stress, and those detached now.
     """
@@ -203,7 +204,7 @@ def most(x: Float[Array, " N"]) -> tuple[Array, Array]:
 
 
 def largest(x: Array) -> Array:
-    """Largest entry, by halves: unlike a plain reduction, this compiles to vector instructions."""
+    """Largest entry, by halves: unlike plain reductions, this compiles to vector instructions."""
     while x.size > 1:
         half = -(-x.size // 2)
         x = jnp.maximum(x[:half], x[-half:])
@@ -211,9 +212,9 @@ def largest(x: Array) -> Array:
 
 
 def rises(push: Float[Array, "r N"], threshold: Float[Array, " N"], readings: Float[Array, "r N"]) -> Float[Array, " N"]:
-    """Rise of the load that brings each contact to its threshold; inf where none does, or there is no contact.
+    """Rise of the load that brings each contact to its threshold.
 
-    `push` is what the load adds to the readings.
+    It is inf where none does, or where there is no contact. `push` is what the load adds to the readings.
     """
     there = jnp.isfinite(threshold)
     weak = jnp.where(there, threshold, 0)

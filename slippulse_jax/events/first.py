@@ -1,4 +1,4 @@
-"""The first event of any body: from the relaxed body to the load at which a contact breaks, and to the length of the event.
+"""The first event of any body: its nucleation load and its length.
 
 A body answers ``contacts(interface, sites)`` with its first contacts before loading, `Relaxed`. Derivatives of a length are
 those at a fixed order of breaks.
@@ -61,7 +61,7 @@ class Relaxed(NamedTuple):
 
 
 def contacts_of_chain(body: Chain, beyond: Springs | None = None, response: Response | None = None) -> Relaxed:
-    """Contacts of a chain, given its elimination from the right end and its response where they are known."""
+    """Contacts of a chain, given its elimination and response where known."""
     beyond = eliminate(body, body.contact) if beyond is None else beyond
     attached = body.contact > 0
     prestress = jnp.where(attached, body.prestress, 0)
@@ -86,7 +86,7 @@ def contacts_of_slider(slider: Slider, interface: AnyInterface, sites: int) -> R
 
 
 def alike(chain: Chain, pinning: Array) -> Array:
-    """Whether nothing changes along a chain and its pinning points but thresholds and prestress, evenly."""
+    """Whether along a chain only thresholds and prestress change, and these evenly."""
 
     def even(x: Array, order: int) -> Array:
         return (jnp.abs(jnp.diff(x, order)) <= ROUNDING * jnp.finfo(x.dtype).eps * jnp.abs(x).max()).all()
@@ -120,9 +120,10 @@ def nucleated(body: Relaxed) -> Nucleation:
 def first_event(
     body: Relaxed, limit: Int[Array, ""] | int | None = None, kind: EventKind = "domino"
 ) -> tuple[Event, Nucleation]:
-    """Load a body until a contact is at its threshold; break contacts until none is, or the last has broken.
+    """Load a body to its first break, and follow the event.
 
-    In the first front no contact breaks again. The event is given up after `limit` breaks, at least one.
+    Contacts break until none is at its threshold, or the last has broken. In the first front no contact breaks again. The
+    event is given up after `limit` breaks, at least one.
     """
     start = nucleated(body)
     return event_from(start, body, limit, kind), start
@@ -136,7 +137,7 @@ def event_from(
     *,
     logged: bool = False,
 ) -> Event:
-    """The event that a nucleation begins (see `first_event`); with `logged`, it has the order of breaks."""
+    """Event that a nucleation begins; if `logged`, with the order of breaks."""
     threshold, sites = body.threshold, body.threshold.size
     most_breaks = BREAKS_PER_SITE * sites
     return event(
@@ -154,7 +155,7 @@ def event_from(
 def slopes_of_length(
     found: Event, start: Nucleation, threshold: Float[Array, " N"], alike: bool | Array
 ) -> tuple[Float[Array, "r N"], Float[Array, "N r N"], Float[Array, " N"]]:
-    """Derivatives of ℓ at a fixed order of breaks, in the readings, in what breaks do to them, and in the threshold.
+    """Derivatives of ℓ in readings, matrix and threshold, at fixed break order.
 
     Of a logged event; `alike` as for its length. From the last break back to the first, λ is the derivative in the readings of
     every contact: a break of contact o that released t set its stress to zero and added t times its column.
@@ -231,7 +232,10 @@ def _length_jvp(kind: EventKind, primals: tuple, tangents: tuple) -> tuple[Array
 
 
 def smooth_length(contacts: Relaxed, rule: BreakRule) -> Float[Array, ""]:
-    """ℓ under a smooth rule, of a front from the edge; inf if it reaches the last contact, NaN if it begins elsewhere."""
+    """ℓ under a smooth rule, of a front from the edge.
+
+    It is inf if the front reaches the last contact, NaN if it begins elsewhere.
+    """
     threshold, last, start = contacts.threshold, contacts.last, nucleated(contacts)
 
     def ahead(front: Front) -> tuple[Array, Array]:
@@ -251,7 +255,7 @@ def smooth_length(contacts: Relaxed, rule: BreakRule) -> Float[Array, ""]:
 
 @partial(jax.jit, static_argnames=("sites", "kind"))
 def length(body: Any, interface: AnyInterface, rule: BreakRule = HARD, *, sites: int, kind: EventKind) -> Float[Array, ""]:
-    """ℓ of a body that has ``contacts``; under the hard rule with derivatives at a fixed order of breaks."""
+    """ℓ of a body that has ``contacts``, under any rule."""
     given, tree = jax.tree.flatten((body, interface, rule))
     types = [x.dtype for x in given]
 

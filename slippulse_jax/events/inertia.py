@@ -156,7 +156,7 @@ def simulate_inertial(
         least = jnp.where(chain.contact > 0, chain.threshold, jnp.inf).min()
 
     def given(name: str, value: Any, inside: Callable[[Any], Any], requirement: str) -> Array:
-        """Check a number; one that is traced and lies outside its domain becomes NaN."""
+        """Check a number; a traced one outside its domain becomes NaN."""
         value = as_float(name, value)
         if not isinstance(inside(value), Tracer):
             check_domain(name, value, inside, requirement)

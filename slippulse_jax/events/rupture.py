@@ -63,7 +63,7 @@ class Rupture(NamedTuple):
 
     @property
     def rebreaks(self) -> Array:
-        """Whether a contact broke more than once: for the first precursor of a slider, where its status is `REBREAK`."""
+        """Whether a contact broke more than once: `REBREAK` of a first precursor."""
         return (self.broken > 1).any(-1)
 
 
@@ -193,7 +193,7 @@ def _check(chain: Chain, state: State) -> None:
 
 
 def _can_break(chain: Chain, stress: Array, trigger: Array) -> Array:
-    """Whether the trigger is none, or an attached contact that is at its threshold but for rounding."""
+    """Whether the trigger is none, or attached and at threshold within rounding."""
     site = jnp.clip(trigger, 0, chain.sites - 1)
     rounding = jnp.finfo(stress.dtype).eps ** 0.25 * jnp.maximum(chain.threshold[site], jnp.abs(stress).max())
     reached = (chain.contact[site] > 0) & (stress[site] >= chain.threshold[site] - rounding)
@@ -201,7 +201,7 @@ def _can_break(chain: Chain, stress: Array, trigger: Array) -> Array:
 
 
 def _or_closest(chain: Chain, stress: Array, trigger: Array) -> Array:
-    """The trigger, or for `CLOSEST` the contact that only rounding keeps below its threshold; −1 where there is none."""
+    """Replace `CLOSEST` by the contact it means, −1 where there is none."""
     overload = jnp.where(chain.contact > 0, stress - chain.threshold, -jnp.inf)
     site, most_overloaded = most(overload)
     rounding = ROUNDING * jnp.finfo(stress.dtype).eps * jnp.maximum(chain.threshold[site], jnp.abs(stress).max())
@@ -255,9 +255,9 @@ def _between_equilibria(
 def one_rupture(
     limits: tuple[int, int], beyond: Springs, response: Response, chain: Chain, state: State, trigger: Array
 ) -> Rupture:
-    """Follow the `rupture` of one chain, of which `beyond` is the elimination from its right end.
+    """Follow the `rupture` of one chain.
 
-    The limits are the largest number of breaks, and the delay.
+    `limits` are the largest number of breaks, and the delay; `beyond` is the elimination of the chain from its right end.
     """
     max_breaks, delay = limits
 

@@ -1,4 +1,4 @@
-r"""Series of events: a chain or a block under increasing load, one rupture after another.
+r"""Series of events: a chain or a block under increasing load.
 
 Between events every stress grows linearly with the load, so the next break is found exactly. In an event contacts break one
 after another at a fixed load, the most overloaded first. All sums are updated from break to break. The chain is solved afresh
@@ -77,7 +77,7 @@ Shape = tuple[int, int, int, int]
 
 
 class Loading(NamedTuple):
-    """How a body is loaded, and when its series ends early. Traced numbers, so that changing them compiles nothing."""
+    """How a series is loaded and ended early; traced, to compile once."""
 
     protocol: Protocol
     ageing: Ageing | None
@@ -87,7 +87,7 @@ class Loading(NamedTuple):
     last: Int[Array, ""]  # contact that may break, of those resolved
 
 
-FADED = 1e-3
+LIFTED = 1e-3
 """Pressure, over the initial one, below which a contact that breaks alone lifts off: it would break for ever, ever sooner."""
 BALANCED = 1e-9
 """Stretch, in u_s, by which Newton's method may leave a contact short of its threshold."""
@@ -211,7 +211,7 @@ def _resolved(shape: Shape, body: Any, interface: AnyInterface, loading: Loading
 
 
 def of_contacts(shape: Shape, body: Relaxed, loading: Loading) -> Catalogue:
-    """Series of the first contacts of a body; a spring to the driver makes its pusher give way."""
+    """Series of a body's first contacts; a spring lets its pusher yield."""
     if isinstance(loading.protocol, Spring):
         body = body.through(loading.protocol.stiffness)
     body = body.up_to(loading.last)
@@ -326,7 +326,7 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
     )
     right, excess, slip = found.rightmost, found.excess, response.soft * found.released
     lifted = [(x < LOST).any() for x in (*readings[1:], *found.readings[1:])]
-    lifted += [(found.breaks == 1) & (readings[1, first] < FADED)] if len(readings) > 1 else []
+    lifted += [(found.breaks == 1) & (readings[1, first] < LIFTED)] if len(readings) > 1 else []
     even = body.alike & (now.number == 0) & (delay == 0)  # contacts that broke differ
     force = force_before - k * (response.push[0] * slip).sum()
     work, broken, relaxed = (now.force + force_before) / 2 * rise, k / 2 * found.stretched, k / 2 * found.relaxed
@@ -384,7 +384,7 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
 
 
 def _stepped(protocol: Protocol, rise: Array, site: Array, begins: Array) -> tuple[Array, Array]:
-    """Rise of the load to the event, 0 if there is none, and the contact that is sure to break first; −1 for none."""
+    """Rise to the event, or 0; first contact if sure, or −1."""
     trigger = jnp.where(begins, site, -1)
     if isinstance(protocol, Steps):
         size, close = jnp.asarray(protocol.size, rise.dtype), 1e4 * jnp.finfo(rise.dtype).eps
@@ -396,7 +396,7 @@ def _stepped(protocol: Protocol, rise: Array, site: Array, begins: Array) -> tup
 
 
 def _catalogue(body: Relaxed, end: SeriesState, state: State, stress: Float[Array, " N"], stored: Array) -> Catalogue:
-    """Make the catalogue; `stress` and `stored` are those of the final state, solved afresh."""
+    """Make the catalogue; final `stress` and `stored` were solved afresh."""
     columns = {name: column[:-1] for name, column in end.rows.items()}
     place = jnp.arange(end.order.size - 1, dtype=jnp.int32)
     of_event = jnp.searchsorted(jnp.cumsum(columns["breaks"]), place, side="right").astype(jnp.int32)
