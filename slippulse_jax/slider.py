@@ -24,6 +24,7 @@ from slippulse_jax.base.domains import (
     YOUNG,
     Domain,
     check_choice,
+    check_kind,
 )
 from slippulse_jax.base.shown import html, in_a_line, short
 from slippulse_jax.base.units import Numbers, as_float, at_least_single, quantity, quantity_field
@@ -333,7 +334,8 @@ def broadcast(slider: Slider, *others: Any) -> list[Array]:
 
 
 def check_endless(owner: str, slider: Slider) -> None:
-    """Refuse a slider with an end or a machine, where a formula would ignore them."""
+    """Refuse what is no slider, and one with an end or a machine, which a formula would ignore."""
+    check_kind("slider", slider, Slider)
     for name in ("length", "machine"):
         if getattr(slider, name) is not None:
             why = f"{owner} is of semi-infinite sliders whose edge is displaced; use precursor_length or first_precursor"

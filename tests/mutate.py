@@ -42,7 +42,7 @@ MODULES = {
     "-k '(not semi-infinite-300 and test_front) or profile_against or profile_that or soft_short or under_prestress or (test_interface and dense_chain) or sensitivity_takes or company or test_bulk'",
     "exact/crossing": "tests/exact/test_exact.py tests/exact/test_exact_lanes.py "
     "-k 'not sixty and not hessian and not resonan and not gradient and not modes and not exponents'",
-    "double_series": "tests/exact/test_exact.py tests/exact/test_exact_fields.py tests/exact/test_rebreaking.py "
+    "exact/double_series": "tests/exact/test_exact.py tests/exact/test_exact_fields.py tests/exact/test_rebreaking.py "
     "-k 'not lanes and not every_mode and (not test_rebreaking or edge_stress_of_random)'",
     "bodies/chain": "tests/events/test_cascade.py tests/bodies/test_equilibrium.py "
     "-k 'inverse or dense_matrices or lattice_modes or floating or (refus and not differentiated) or interface or slopes or driver or by_default'",
@@ -105,7 +105,7 @@ EQUIVALENT: dict[tuple[str, str], str] = {
     ): "no contact has a negative stiffness",
     ("events/rupture", "t = stress + contact * arriving[ 2]"): "of two elements, JAX takes the last",
     (
-        "double_series",
+        "exact/double_series",
         "z0, z1 = jnp.where(small, z, 1), jnp.where(small, 1, z)",
     ): "the sum of z0 is taken only where z is small",
     (

@@ -18,10 +18,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from slippulse_jax import double_series
 from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.modes import lattice_modes
-from slippulse_jax.double_series import Lanes, Series, Table
+from slippulse_jax.exact import double_series
+from slippulse_jax.exact.double_series import Lanes, Series
 from slippulse_jax.front.front import runaway_prestress
 from slippulse_jax.slider import Slider
 
@@ -31,15 +31,15 @@ SIMPLE = 0.999
 CLOSE = 1e-7
 """Last step of Newton's method, relative to the length: its square is rounding."""
 
-TURNS, STEPS = 16, 100
-"""Steps after which a bulk program leaves a lane to the careful one, and a crossing is given up; five to eight are usual."""
+STEPS = 100
+"""Steps after which a crossing is given up; five to eight are usual."""
 
 ROUNDED = 1e-4
 """Last step with which a crossing still counts as found after `STEPS`: where the stress is nearly parallel to the threshold,
 rounding moves the crossing by as much, and the steps never become small."""
 
 
-def series_of(theta: Float[Array, "n *lanes"], table: Table = "regular") -> Series:
+def series_of(theta: Float[Array, "n *lanes"]) -> Series:
     """The series at θ; without a φ it has one family of terms fewer."""
 
     def modes_of(height: Array, stiffness: Array, poisson: Array) -> Any:
@@ -52,21 +52,11 @@ def series_of(theta: Float[Array, "n *lanes"], table: Table = "regular") -> Seri
     start = modes.drive if phi is None else (1 - phi)[None] * modes.drive
     coupling, reflected = modes.ratio * modes.weight, modes.ratio[:, None] * modes.reflection
     system = double_series.system_of(modes.gap, coupling, reflected, start, phi, runaway_prestress(modes))
-    return double_series.solve(system, table)
+    return double_series.solve(system)
 
 
 def first_crossing(found: Series, theta: Float[Array, "n *lanes"]) -> tuple[Lanes, Lanes]:
-    """Find ℓ* and the `Outcome`, both in one floating type.
-
-    What a far or a plain table does not determine to every digit, or soon, is left as `NOT_CONVERGED`.
-    """
-    if found.far:
-        return _far(found, theta)
-    return _regular(found, theta) if found.echo is not None else _plain(found, theta)
-
-
-def _regular(found: Series, theta: Array) -> tuple[Lanes, Lanes]:
-    """By a table that holds from the edge on; without φ and ε every front is simple."""
+    """Find ℓ* and the `Outcome`, both in one floating type; without φ and ε every front is simple."""
     slope, edge, careful = _slope(theta), double_series.at_edge(found), len(theta) > 3
     moves, zero = edge > slope, jnp.zeros_like(edge)
     simple = _simple(found, slope) if careful else jnp.ones_like(moves)
@@ -79,7 +69,7 @@ def _regular(found: Series, theta: Array) -> tuple[Lanes, Lanes]:
         start = jnp.where(in_dip & (dip - low > 2 * _tiny(slope) * jnp.maximum(dip, 1)), dip, start)
         low = jnp.where(simple, 0, low)
     tolerance = max(CLOSE, _tiny(slope))
-    s, before = _newton(partial(double_series.rise, found), slope, start, low, tolerance=tolerance, most=STEPS)
+    s, before = _newton(partial(double_series.rise, found), slope, start, low, tolerance)
     settled = jnp.abs(s - before) <= ROUNDED * jnp.maximum(s, 1)
     s = jnp.where(in_dip & (start == 0), dip, s)
     none = jnp.where(simple, ~moves, in_dip & (dip == 0))
@@ -90,46 +80,6 @@ def _regular(found: Series, theta: Array) -> tuple[Lanes, Lanes]:
         [Outcome.INVALID, Outcome.NO_DOMINO, Outcome.RUN_AWAY, Outcome.NOT_CONVERGED],
         Outcome.ARRESTED,
     ).astype(edge.dtype)
-    return length_of(s, status), status
-
-
-def _plain(found: Series, theta: Array) -> tuple[Lanes, Lanes]:
-    """By a plain table.
-
-    With a prestress, a lane that is not simple gets the careful search if its table ends within the rows stored: only then does
-    the table hold from the edge on. Without one, lanes that are not simple are left. Newton's method on the first rows
-    comes within about 1e-5 of the crossing; on all rows it finishes.
-    """
-    slope = _slope(theta)
-    if len(found.amplitude) > 2:
-        length, status = _regular(found, theta)
-        from_there = jnp.where(_simple(found, slope) & (status == Outcome.ARRESTED), length, 0)
-        known = found.sound & double_series.died_out(found, from_there)
-        return jnp.where(known, length, jnp.nan), jnp.where(known, status, jnp.asarray(Outcome.NOT_CONVERGED, status.dtype))
-    moves = double_series.at_edge(found) > slope
-    regular = found.sound & _simple(found, slope)
-    start = jnp.where(moves & regular, _start(found, theta), 0)
-    low = jnp.zeros_like(start)
-    s, _ = _newton(partial(double_series.rise, found, blocks=1), slope, start, low, tolerance=1e-4, most=TURNS)
-    s, before = _newton(partial(double_series.rise, found), slope, s, low, tolerance=CLOSE, most=TURNS)
-    settled = regular & (~moves | _close(s, before, CLOSE) & double_series.died_out(found, s))
-    status = jnp.where(settled, jnp.where(moves, Outcome.ARRESTED, Outcome.NO_DOMINO), Outcome.NOT_CONVERGED).astype(s.dtype)
-    return length_of(s, status), status
-
-
-def _far(found: Series, theta: Array) -> tuple[Lanes, Lanes]:
-    """By a far table, of relaxed lanes on level thresholds that cross where it holds.
-
-    Such a front is simple: the crossing lies beyond `begins` if, and only if, the stress there is above the threshold.
-    """
-    rise = partial(double_series.rise, found)
-    low = found.begins
-    slope = jnp.zeros_like(low)
-    beyond = found.sound & (rise(low)[0] > 0)
-    start = jnp.where(beyond, jnp.maximum(_start(found, theta), low), 0)
-    s, before = _newton(rise, slope, start, low, tolerance=CLOSE, most=TURNS)
-    settled = beyond & _close(s, before, CLOSE)
-    status = jnp.where(settled, Outcome.ARRESTED, Outcome.NOT_CONVERGED).astype(s.dtype)
     return length_of(s, status), status
 
 
@@ -174,7 +124,7 @@ def expected_length(height: Any, stiffness: Any, poisson: Any) -> Any:
 
 
 def _newton(
-    rise: Callable[[Lanes], tuple[Lanes, Lanes]], slope: Lanes, start: Lanes, low: Lanes, *, tolerance: float, most: int
+    rise: Callable[[Lanes], tuple[Lanes, Lanes]], slope: Lanes, start: Lanes, low: Lanes, tolerance: float
 ) -> tuple[Lanes, Lanes]:
     """Iterate by Newton's method, inside a bracket from `low` on, until every lane is close; return s and the s before it.
 
@@ -197,7 +147,7 @@ def _newton(
         return jnp.where(done, s, after), jnp.where(done, before, s), low, high, count + 1
 
     def unfinished(carry: Any) -> Array:
-        return (~_close(carry[0], carry[1], tolerance)).any() & (carry[4] < most)
+        return (~_close(carry[0], carry[1], tolerance)).any() & (carry[4] < STEPS)
 
     zero = jnp.zeros_like(start)
     return lax.while_loop(unfinished, turn, (start, zero, low, jnp.full_like(start, jnp.inf), 0))[:2]

@@ -3,13 +3,13 @@
 Its length is analytic in the parameters.
 
 The stress t(s) that the front meets at contact s extends from whole numbers to real s as a convergent double series
-(`slippulse_jax.double_series`, derived in ``docs/appendix/exact_solution.md``). The length ℓ* is its crossing with the
+(`slippulse_jax.exact.double_series`, derived in ``docs/appendix/exact_solution.md``). The length ℓ* is its crossing with the
 threshold,
 
     t(ℓ*) = 1 + ε ℓ*,
 
-so that ceil(ℓ*) contacts break. It shares no step with the ℓ of `slippulse_jax.front.front`, which it is there to check, and
-costs the same whatever Λ: the fast way for very tall sliders. It has derivatives of every order, in every mode.
+so that ceil(ℓ*) contacts break. It shares no step but the modes with the ℓ of `slippulse_jax.front.front`, which it is there to
+check, and costs the same whatever Λ: the fast way for very tall sliders. It has derivatives of every order, in every mode.
 
 Nothing like it is in the paper. The prestress φ and the threshold slope ε are those of its Discussion: φ = σ_0/σ_s on every
 contact, released when it breaks and borne anew by its successor, and σ_s(i) = σ_s0 (1 + ε i).
@@ -24,17 +24,16 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
-from slippulse_jax import double_series
-from slippulse_jax.base.domains import check_domain, check_kind
+from slippulse_jax.base.domains import check_domain
 from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.bulk.derivatives import by_forward_mode
-from slippulse_jax.exact import crack
+from slippulse_jax.exact import crack, double_series
 from slippulse_jax.exact.crossing import excess, first_crossing, length_of, series_of
 from slippulse_jax.interface import Interface
 from slippulse_jax.rules import CrackLike
-from slippulse_jax.slider import Fields, Slider, broadcast, of_one_type
+from slippulse_jax.slider import Fields, Slider, broadcast, check_endless, of_one_type
 
 
 class ExactFront(NamedTuple):
@@ -82,7 +81,7 @@ def exact_length(slider: Slider, interface: Interface | None = None, *, rule: Cr
     `precursor_length` have the same ceiling beyond 1, and agree to 1.4e-3 λc from six contacts on, to 1e-9 from a hundred on;
     where two break they differ by up to 0.11 λc. ℓ takes a tenth of the time to compile: ℓ* is evidence, and for tall sliders.
     """
-    check_kind("slider", slider, Slider)
+    check_endless("exact_length", slider)
     if rule is None:
         return _each(_length, *broadcast(slider, *_contacts(interface)))
     prestress, threshold_slope = uniform(interface)
@@ -108,7 +107,7 @@ def exact_front(slider: Slider, interface: Interface | None = None) -> ExactFron
     stops if, and only if, it carries at least σ_s at the arrest: ``exact_fields(slider, contacts_broken, 0).stress``. The
     status is then `REBREAK`, as in `first_precursor`, and ℓ* the length of the front, not of the event.
     """
-    check_kind("slider", slider, Slider)
+    check_endless("exact_front", slider)
     return ExactFront(*_each(_front, *broadcast(slider, *_contacts(interface))))
 
 
@@ -130,7 +129,7 @@ def exact_front_stress(slider: Slider, s: AnyArrayLike, interface: Interface | N
     ValueError, TypeError
         If a concrete `s` is negative or not finite; if the closed form does not hold for `interface`.
     """
-    check_kind("slider", slider, Slider)
+    check_endless("exact_front_stress", slider)
     check_domain("s", s, lambda x: x >= 0, "must be a front position, ≥ 0, in λc")
     return _each(_stress, *of_one_type(slider, *_contacts(interface), s))
 
@@ -162,9 +161,9 @@ def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, interface:
     Notes
     -----
     The stress behind the front is what the later breaks have put back on a contact repinned at zero stretch, a sum in closed
-    form (`slippulse_jax.double_series.fields`).
+    form (`slippulse_jax.exact.double_series.fields`).
     """
-    check_kind("slider", slider, Slider)
+    check_endless("exact_fields", slider)
     for name, value in (("s", s), ("site", site)):
         check_domain(name, value, lambda x: (x >= 0) & (x == np.round(x)), "must be a whole number of contacts, ≥ 0")
     return Fields(*_each(_fields, *of_one_type(slider, *_contacts(interface), s, site)))

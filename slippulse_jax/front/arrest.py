@@ -39,7 +39,6 @@ class LengthDerivatives(NamedTuple):
     slider: Slider
     interface: Interface | None = None
     rule: BreakRule | None = None
-    hessian: np.ndarray | None = None  # (..., n, n), in the order of the numbers of slider and interface
 
 
 class Arrest(NamedTuple):

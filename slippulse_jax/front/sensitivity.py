@@ -13,7 +13,7 @@ from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.front.front import contact_at, sweep, swept_length
 from slippulse_jax.interface import AnyInterface, Interface, Profile
 from slippulse_jax.rules import BreakRule, HardBreak, check_rule
-from slippulse_jax.slider import Slider
+from slippulse_jax.slider import Slider, check_endless
 
 
 class Sensitivity(NamedTuple):
@@ -59,7 +59,7 @@ def sensitivity(
     ValueError
         If slider or interface is a batch.
     """
-    check_kind("slider", slider, Slider)
+    check_endless("sensitivity", slider)
     check_kind("interface", interface, Interface, Profile, NoneType)
     check_whole("sites", sites, 1)
     check_rule(rule, one=True)

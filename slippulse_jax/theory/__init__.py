@@ -9,7 +9,7 @@
 levels are physics, not errors. Of a block under two-dimensional elasticity there is `block_decay_length`.
 """
 
-from slippulse_jax.theory.continuum import continuum_fields, continuum_stress, length_continuum
+from slippulse_jax.exact.continuum import continuum_fields, continuum_stress, length_continuum
 from slippulse_jax.theory.frozen import appendix, frozen_stress, length, length_eq25, length_frozen
 from slippulse_jax.theory.limits import (
     block_decay_length,

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.bulk.derivatives import root_between
-from slippulse_jax.double_series import exponential_terms, overlap
+from slippulse_jax.exact.double_series import exponential_terms, overlap
 from slippulse_jax.slider import Slider, each_slider
 
 

@@ -15,7 +15,7 @@ from slippulse_jax.base.domains import POISSON, PRESTRESS, Domain, real_numbers
 from slippulse_jax.base.units import as_float
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.bulk.derivatives import root_between
-from slippulse_jax.double_series import exponential_terms, overlap
+from slippulse_jax.exact.double_series import exponential_terms, overlap
 from slippulse_jax.slider import Slider, each_slider
 
 _DOMAIN = {

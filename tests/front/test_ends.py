@@ -153,3 +153,20 @@ def test_the_formulas_hold_between_whole_numbers_of_sites():
 def test_bad_ends_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         sp.Slider(25.0, 0.03, 0.3, **options)
+
+
+@pytest.mark.parametrize("end", [{"length": 60}, {"machine": 3.0}])
+@pytest.mark.parametrize(
+    ("owner", "door"),
+    [
+        ("exact_length", sp.exact_length),
+        ("exact_lengths", sp.exact_lengths),
+        ("exact_front", sp.exact_front),
+        ("sensitivity", lambda slider: sp.sensitivity(slider, sites=60)),
+        ("this formula", sp.theory.length_eq25),
+        ("this formula", sp.theory.length_continuum),
+    ],
+)
+def test_formulas_of_endless_sliders_refuse_one_that_ends(owner, door, end):
+    with pytest.raises(ValueError, match=rf"Slider\.{[*end][0]} = .*: {owner} is of semi-infinite sliders"):
+        door(sp.Slider(25.0, 0.03, 0.3, **end))

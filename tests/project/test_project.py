@@ -24,10 +24,10 @@ PACKAGE = Path(slippulse_jax.__file__).parent
 
 # imports run from higher numbers to lower ones, or within a layer; equal numbers of different layers never meet
 LAYERS = {
-    "base": -2, "bulk": -1, "double_series": 0,
+    "base": -2, "bulk": -1,
     "slider": 1, "rules": 1, "interface": 1, "block": 2, "experiments": 3,
-    "bodies": 3, "theory": 3,
-    "front": 4, "exact": 5, "events": 5, "blocks": 6,
+    "bodies": 3,
+    "front": 4, "exact": 5, "events": 5, "theory": 6, "blocks": 6,
     "lengths": 7, "precursor": 8,
     "inference": 9, "sweeps": 9,
     "plot": 10, "paper": 11,

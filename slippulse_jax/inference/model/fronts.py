@@ -370,7 +370,7 @@ class FirstFront(Front):
     def in_closed_form(self, inputs: Inputs) -> np.ndarray:
         """ℓ* of fronts without end; NotConverged names one that has none."""
         lanes = _lanes(inputs)
-        found, status = exact_fronts(lanes, one_program=True)
+        found, status = exact_fronts(lanes)
         if np.isnan(found).any():
             where = ", ".join(f"{x:.9g}" for x in lanes[:, np.argmax(np.isnan(found))])
             why = Outcome(int(status[np.argmax(np.isnan(found))])).message
@@ -392,7 +392,7 @@ class FirstFront(Front):
         # far from the edge the contact ahead carries less than twice the prestress
         doubtful = (prestress > 0.5) & (slope == 0) & (APPROACH * slow > SEEN_SOON)
         if doubtful.any():
-            exact = exact_fronts(lanes[:, doubtful], one_program=True)[0]
+            exact = exact_fronts(lanes[:, doubtful])[0]
             found[doubtful] = np.where(np.isnan(exact), found[doubtful], exact)
         return found
 

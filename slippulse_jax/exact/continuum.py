@@ -6,7 +6,7 @@ t(s) = ũ(s+0; s). Written for the two parts V_m of t = V_1 + V_2 in the modes �
 
     dV_m/ds = −κ_m V_m + W_m t + Σ_n R_mn e^{−(κ_m + κ_n)s} t,        W_m = (k/K) α_m g_m/(2κ_m),
 
-with (0, 1) = Σ g_m (1, α_m): a linear system that `slippulse_jax.double_series` solves, as on the lattice, at any real s.
+with (0, 1) = Σ g_m (1, α_m): a linear system that `slippulse_jax.exact.double_series` solves, as on the lattice, at any real s.
 Valid, as a limit of the lattice, for κ_1 λc ≪ 1: H ≫ λc and k ≪ K.
 """
 
@@ -16,11 +16,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from slippulse_jax import double_series
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.bulk.derivatives import by_forward_mode, root_between
+from slippulse_jax.exact import double_series
+from slippulse_jax.exact.crossing import expected_length
 from slippulse_jax.slider import Fields, Slider, each_slider
-from slippulse_jax.theory.frozen import leading_length
 
 
 def _line(slider: Slider) -> tuple[double_series.Series, Array, Array, Array]:
@@ -65,7 +65,8 @@ def length_continuum(slider: Slider) -> Float[Array, "..."]:
     """
 
     def one(slider: Slider) -> Array:
-        (solution, _, _, first), about = _line(slider), leading_length(slider)
+        solution, _, _, first = _line(slider)
+        about = expected_length(slider.height, slider.stiffness, slider.poisson)
 
         def excess(x: tuple[double_series.Series, Array], s: Array) -> Array:
             """t(s) − 1 without the difference, which on soft interfaces is as little as b."""

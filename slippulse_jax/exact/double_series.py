@@ -17,29 +17,25 @@ with amplitudes c_j from t(0) and t(1) − t(0). `docs/appendix/exact_solution.m
 first row k whose moduli add up to less than `ROW_TOLERANCE` of the first row's; from there on it has rows of zeros, so that a
 lane never depends on its neighbours.
 
-**Three kinds of table.** A *regular* one gives every digit everywhere. A *plain* one takes less time, and leaves in the poles
-that follow; `Series.sound` is false for the few lanes whose digits they cost. A *far* one keeps of a relaxed front what is left
-where r_1 and ρ_1 have died out, one column of one family: t(s) = c_2 ρ_2^s Σ_k τ_k0 (r_2²)^{ks} from `Series.begins` on.
-
 **Resonance.** μ may meet ρ_1: only at a = 0 (because ρ_1 > r_1), and only at the one k = n nearest to it (because the others
-are a factor r_2² apart). There the series has a pole, cancelled by another in front of ρ_1's own series. A *regular* table
-writes that term with the divided difference D(s) = (x^s − ρ_1^s)/(x − ρ_1), x = start · r_2^{2n}; n = 0 covers coalescing
-roots, and the choice of n changes the rounding, not the sum.
+are a factor r_2² apart). There the series has a pole, cancelled by another in front of ρ_1's own series. The table holds that
+term with the divided difference D(s) = (x^s − ρ_1^s)/(x − ρ_1), x = start · r_2^{2n}, and so has every digit everywhere; n = 0
+covers coalescing roots, and the choice of n changes the rounding, not the sum.
 
 Everything is built from the small numbers 1 − r_m, 1 − ρ_j and from decay rates −ln μ, never from r_m and ρ_j themselves:
-for tall sliders these agree with 1 to eight digits. **On a line** (`slippulse_jax.theory`) differences become derivatives:
-κ_m, W_m and the rates −ln μ stand for 1 − r_m, r_m w_m and 1 − μ.
+for tall sliders these agree with 1 to eight digits. **On a line** (`slippulse_jax.exact.continuum`) differences become
+derivatives: κ_m, W_m and the rates −ln μ stand for 1 − r_m, r_m w_m and 1 − μ.
 """
 
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from slippulse_jax.bulk.compiler import in_full
 
@@ -48,26 +44,6 @@ ROW_TOLERANCE = 5e-13
 
 ROWS = 17
 """Rows of the longest table: degree 34 in r_1 and r_2."""
-
-Table = Literal["regular", "plain", "far"]
-"""Kinds of table."""
-
-BLOCKS: dict[Table, tuple[tuple[int, int], ...]] = {
-    "regular": ((1, ROWS),),
-    "plain": ((1, 5), (6, 11), (12, ROWS)),
-    "far": ((1, 4), (5, 8), (9, 12), (13, ROWS)),
-}
-"""First and last row of the loops a table is made by, each as wide as its last row: one to compile little, more to compute
-little."""
-
-LEAST, STORED = 5, 11
-"""Rows that every lane has; rows of a plain table kept for the sums at s (`died_out` checks what later ones would add)."""
-
-SOUND = 1e3
-"""Amplitude from which a pole nearby has cost too many digits."""
-
-ROUNDING_EXPONENT = 37.0
-"""Exponent from which a decaying term is rounding."""
 
 Lanes = Float[Array, "*lanes"]
 
@@ -112,25 +88,12 @@ class Series(NamedTuple):
     """Table and amplitudes of every lane."""
 
     system: System
-    blocks: tuple[Float[Array, "rows F a *lanes"], ...]  # τ, of the blocks that are stored; of a far table, where a = 0
-    rows: Float[Array, "k F *lanes"]  # Σ_a τ up to the last row stored
-    beyond: Float[Array, "F *lanes"]  # Σ_ka τ of later rows
-    totals: Float[Array, "sums F *lanes"]  # Σ τ, Σ τ (1 − μ) and, unless far, −Σ τ ln μ
+    table: Float[Array, "rows F a *lanes"]  # τ from row 1 on
+    rows: Float[Array, "k F *lanes"]  # Σ_a τ
+    totals: Float[Array, "3 F *lanes"]  # Σ τ, Σ τ (1 − μ) and −Σ τ ln μ
     amplitude: Float[Array, "F *lanes"]  # c_j
-    echo: Float[Array, "F *lanes"] | None  # κ_j, with which D(s) times ρ_1's series is part of family j; None if not regular
+    echo: Float[Array, "F *lanes"]  # κ_j, with which D(s) times ρ_1's series is part of family j
     echo_rate: Float[Array, "F *lanes"]  # −ln x_j
-    last: Array  # the last row any lane has
-    sound: Bool[Array, "*lanes"]  # whether every digit is there; before the amplitudes are, whether the table has converged
-
-    @property
-    def far(self) -> bool:
-        """Whether the table is a far one."""
-        return self.blocks[0].shape[2] == 1
-
-    @property
-    def begins(self) -> Lanes:
-        """The s from which a far table holds."""
-        return ROUNDING_EXPONENT / jnp.minimum(self.system.column_rate, self.system.rate[0])
 
 
 def system_of(
@@ -184,126 +147,91 @@ def system_of(
     )
 
 
-def solve(system: System, kind: Table = "regular") -> Series:
-    """Table, and the amplitudes that give t(0) and t(1) − t(0); a far table is for relaxed fronts."""
-    table, plateau = _table(system, kind), system.plateau
+def solve(system: System) -> Series:
+    """Table, and the amplitudes that give t(0) and t(1) − t(0)."""
+    table, plateau = _table(system), system.plateau
     A, gaps = table.totals[:2]
-    B = -gaps
-    if table.echo is not None:
-        # D(0) = 0 and D(1) = 1; on a line D'(0) = 1
-        once = (A[0] - gaps[0]) / (1 - system.start_gap[0]) if system.lattice else A[0]
-        B = B + table.echo * once[None]
+    # D(0) = 0 and D(1) = 1; on a line D'(0) = 1
+    once = (A[0] - gaps[0]) / (1 - system.start_gap[0]) if system.lattice else A[0]
+    B = table.echo * once[None] - gaps
     known_0, known_1 = system.at_edge, system.first_step
     prestressed = A.shape[0] > 2
     if prestressed:
         known_0, known_1 = known_0 - plateau * A[2], known_1 - plateau * B[2]
     determinant = A[0] * B[1] - A[1] * B[0]
     c1, c2 = (known_0 * B[1] - A[1] * known_1) / determinant, (A[0] * known_1 - known_0 * B[0]) / determinant
-    sound = table.sound & (jnp.abs(c1) < SOUND) & (jnp.abs(c2) < SOUND)
-    return table._replace(amplitude=jnp.stack([c1, c2, plateau] if prestressed else [c1, c2]), sound=sound)
+    return table._replace(amplitude=jnp.stack([c1, c2, plateau] if prestressed else [c1, c2]))
 
 
 class _Progress(NamedTuple):
     k: Array  # the next row
     level: Array  # 1 − r_2^{2(k−1)}
+    above: Array  # the row before
+    table: Array
     rows: Array
-    beyond: Array
     totals: Array
     running: Array
-    fed: Array | None  # r_1^a r_2^b V_ab of ρ_1's series, shape (k, 2, a, *lanes); of a regular table
-    echo: Array | None
+    fed: Array  # r_1^a r_2^b V_ab of ρ_1's series, shape (k, 2, a, *lanes)
+    echo: Array
 
 
-def _table(system: System, kind: Table) -> Series:
+def _table(system: System) -> Series:
     """Rows until every lane has ended, or `ROWS`; no amplitudes yet."""
     families, *lanes = system.rate.shape
-    zeros, one = jnp.zeros_like(system.rate), jnp.ones_like(system.rate)
-    stored = STORED if kind == "plain" else ROWS
-    rows = jnp.zeros((stored + 1, families, *lanes), one.dtype).at[0].set(1)
-    above = jnp.zeros((families, 3, *lanes), one.dtype).at[:, 2].set(1)
-    resonance, fed, echo = zeros, None, None
-    if kind == "regular":
-        distance = (system.rate[:1] - system.rate) / system.level_rate[None]
-        # of the prestress's family never n = 0, of ρ_1's own none
-        least = np.arange(families).reshape(-1, *[1] * len(lanes)) == 2
-        resonance = jnp.maximum(jnp.round(distance), jnp.asarray(least, one.dtype))
-        fed = jnp.zeros((ROWS + 1, 2, 2 * ROWS + 1, *lanes), one.dtype)
-        echo = jnp.where(resonance == 0, system.to_modes[0, :1], 0).at[0].set(0)
-    totals = jnp.stack([one, system.start_gap] if kind == "far" else [one, system.start_gap, system.rate])
-    running = jnp.ones(lanes, bool)
-    progress = _Progress(jnp.asarray(1), jnp.zeros_like(system.level_rate), rows, zeros, totals, running, fed, echo)
-    kept = []
-    for start, end in BLOCKS[kind]:
-        width = 1 if kind == "far" else 2 * end + 1
-        block = jnp.zeros((end - start + 1 if end <= stored else 0, families, width, *lanes), one.dtype)
-        above = jnp.zeros((families, 2 * end + 3, *lanes), one.dtype).at[:, : above.shape[1]].set(above)
-        progress, above, block = _fill(system, progress, above, block, (start, end), resonance)
-        kept.append(block)
-    return Series(
-        system=system,
-        blocks=tuple(kept),
-        rows=progress.rows,
-        beyond=progress.beyond,
-        totals=progress.totals,
-        amplitude=zeros,
-        echo=progress.echo,
-        echo_rate=system.rate + resonance * system.level_rate[None],
-        last=progress.k - 1,
-        sound=~progress.running,
+    zeros, one, width = jnp.zeros_like(system.rate), jnp.ones_like(system.rate), 2 * ROWS + 1
+    distance = (system.rate[:1] - system.rate) / system.level_rate[None]
+    # of the prestress's family never n = 0, of ρ_1's own none
+    least = np.arange(families).reshape(-1, *[1] * len(lanes)) == 2
+    resonance = jnp.maximum(jnp.round(distance), jnp.asarray(least, one.dtype))
+    start = _Progress(
+        k=jnp.asarray(1),
+        level=jnp.zeros_like(system.level_rate),
+        above=jnp.zeros((families, width + 2, *lanes), one.dtype).at[:, 2].set(1),
+        table=jnp.zeros((ROWS, families, width, *lanes), one.dtype),
+        rows=jnp.zeros((ROWS + 1, families, *lanes), one.dtype).at[0].set(1),
+        totals=jnp.stack([one, system.start_gap, system.rate]),
+        running=jnp.ones(lanes, bool),
+        fed=jnp.zeros((ROWS + 1, 2, width, *lanes), one.dtype),
+        echo=jnp.where(resonance == 0, system.to_modes[0, :1], 0).at[0].set(0),
     )
-
-
-def _fill(
-    system: System, progress: _Progress, above: Array, block: Array, span: tuple[int, int], resonance: Array
-) -> tuple[_Progress, Array, Array]:
-    """Rows of one block; written to `block` if it has places for them."""
-    start, end = span
-    stored = block.shape[0] > 0
-    lanes = system.level_rate.ndim
-    summed = over_columns if progress.fed is None else partial(jnp.sum, axis=1)
-    a = jnp.asarray(_column(np.arange(2.0 * end + 1), lanes), above.dtype)
+    a = jnp.asarray(_column(np.arange(float(width)), len(lanes)), one.dtype)
     if system.lattice:
-        columns, level_gap = power_gaps(decayed(system.column_rate), 2 * end + 1), decayed(system.level_rate)
+        columns, level_gap = power_gaps(decayed(system.column_rate), width), decayed(system.level_rate)
     else:
         columns, level_gap = a * system.column_rate[None], system.level_rate
+    rho = 1 - system.start_gap if system.lattice else one
 
-    def row(state: tuple[_Progress, Array, Array]) -> tuple[_Progress, Array, Array]:
-        (k, level, rows, beyond, totals, running, fed, echo), above, block = state
+    def row(now: _Progress) -> _Progress:
+        k, level = now.k, now.level
         if system.lattice:
             level = level + (1 - level) * level_gap
             gap = level[None] + (1 - level[None]) * columns
         else:
             level = level + level_gap
             gap = level[None] + columns
-        rho = 1 - system.start_gap if system.lattice else jnp.ones_like(system.rate)
-        if fed is None or echo is None:
-            tau = _entries(system, above, rho[:, None] * gap[None])
-        else:
-            tau, fed, echo = _regular_entries(system, above, gap, rho, resonance, (k, fed, echo))
-        if end > LEAST:
-            tau = jnp.where(running[None, None], tau, 0)
-        total = summed(tau)
-        more = [total, system.start_gap * total + rho * summed(gap[None] * tau)]
-        if totals.shape[0] > 2:
-            by_level, by_column = (system.level_rate * k.astype(total.dtype))[None], system.column_rate[None]
-            more.append(system.rate * total + by_level * total + by_column * summed(a[None] * tau))
-        totals = totals + jnp.stack(more)
-        if stored:
-            rows = lax.dynamic_update_index_in_dim(rows, total, k, 0)
-            block = lax.dynamic_update_index_in_dim(block, tau[:, : block.shape[2]], k - start, 0)
-        else:
-            beyond = beyond + total
-        if end > LEAST:
-            size = over_families(summed(jnp.abs(tau)))
-            scale = jnp.minimum(over_families(jnp.abs(rows[1])), 1)
-            running = running & ((size > ROW_TOLERANCE * scale) | (k <= LEAST))
-        above = lax.dynamic_update_slice_in_dim(above, tau, 2, 1)
-        return _Progress(k + 1, level, rows, beyond, totals, running, fed, echo), above, block
+        tau, fed, echo = _entries(system, now.above, gap, rho, resonance, (k, now.fed, now.echo))
+        tau = jnp.where(now.running[None, None], tau, 0)
+        total = tau.sum(1)
+        by_level, by_column = (system.level_rate * k.astype(total.dtype))[None], system.column_rate[None]
+        more = [total, system.start_gap * total + rho * (gap[None] * tau).sum(1)]
+        more.append(system.rate * total + by_level * total + by_column * (a[None] * tau).sum(1))
+        rows = lax.dynamic_update_index_in_dim(now.rows, total, k, 0)
+        size, scale = jnp.abs(tau).sum((0, 1)), jnp.minimum(jnp.abs(rows[1]).sum(0), 1)
+        return _Progress(
+            k + 1,
+            level,
+            lax.dynamic_update_slice_in_dim(now.above, tau, 2, 1),
+            lax.dynamic_update_index_in_dim(now.table, tau, k - 1, 0),
+            rows,
+            now.totals + jnp.stack(more),
+            now.running & (size > ROW_TOLERANCE * scale),
+            fed,
+            echo,
+        )
 
-    def going(state: tuple[_Progress, Array, Array]) -> Array:
-        return (state[0].k <= end) & state[0].running.any()
-
-    return lax.while_loop(going, row, (progress, above, block))
+    found = lax.while_loop(lambda now: (now.k <= ROWS) & now.running.any(), row, start)
+    echo_rate = system.rate + resonance * system.level_rate[None]
+    return Series(system, found.table, found.rows, found.totals, zeros, found.echo, echo_rate)
 
 
 def _sources(system: System, above: Array) -> tuple[Array, Array]:
@@ -313,14 +241,7 @@ def _sources(system: System, above: Array) -> tuple[Array, Array]:
     return R11 * two + R12 * one, R21 * one + R22 * zero
 
 
-def _entries(system: System, above: Array, x: Array) -> Array:
-    """τ of one row from the row above and x = start − μ."""
-    to_1, to_2, from_1, from_2 = (y[:, None] for y in (*system.to_roots, *system.to_modes))
-    g1, g2 = _sources(system, above)
-    return (g1 * (from_2 - x) + g2 * (from_1 - x)) / ((to_1 - x) * (to_2 - x))
-
-
-def _regular_entries(
+def _entries(
     system: System, above: Array, gap: Array, rho: Array, resonance: Array, state: tuple[Array, Array, Array]
 ) -> tuple[Array, Array, Array]:
     """τ of one row, ρ_1's series with this row added, and κ.
@@ -359,24 +280,20 @@ def _regular_entries(
     return jnp.stack(tau), fed, jnp.stack(found)
 
 
-def _sums(series: Series, s: Lanes, blocks: int | None = None) -> tuple[Array, Array, Array]:
-    """Σ τ (1 − p^s), Σ τ p^s and −Σ τ p^s ln p of every family, p = μ/start, by as many blocks of stored rows, all by default.
+def _sums(series: Series, s: Lanes) -> tuple[Array, Array, Array]:
+    """Σ τ (1 − p^s), Σ τ p^s and −Σ τ p^s ln p of every family, p = μ/start.
 
     By Horner's rule in u = r_2^{2s}: what row k has lost is (1 − u^k) Σ_a τ + u^k Σ_a τ (1 − v^a), v = (r_1/r_2)^s, and
-    (1 − u^k) sums to (1 − u) Σ_k u^k times the rows above k. Rows that are not summed are taken to have lost what the last one
-    has by its level.
+    (1 − u^k) sums to (1 − u) Σ_k u^k times the rows above k.
     """
-    system = series.system
-    chosen = series.blocks if blocks is None else series.blocks[:blocks]
-    starts = np.cumsum([1, *(len(block) for block in chosen)])
-    moments = [_row_moments(series, s, block, int(k)) for k, block in zip(starts, chosen, strict=False) if block.shape[0]]
+    system, width = series.system, series.table.shape[2]
+    rate, columns = system.column_rate[None], power_gaps(decayed(s * system.column_rate), width)
+    a = jnp.asarray(_column(np.arange(float(width)), s.ndim), columns.dtype)
+    zero = jnp.zeros_like(system.rate)
+    weights = columns[None], (a * rate * (1 - columns))[None]
+    lost, bent = (jnp.concatenate([zero[None], (w[None] * series.table).sum(2)]) for w in weights)
     level_gap = decayed(s * system.level_rate)
     level, level_gap = (1 - level_gap)[None], level_gap[None]
-    zero = jnp.zeros_like(system.rate)
-    lost, bent = (jnp.concatenate([zero[None], *(block[n] for block in moments)]) for n in (0, 1))
-    above = series.beyond
-    for k in range(lost.shape[0], series.rows.shape[0]):
-        above = above + series.rows[k]
 
     def add(carried: Any, row: Any) -> Any:
         missing, left, fall, above = carried
@@ -386,100 +303,52 @@ def _sums(series: Series, s: Lanes, blocks: int | None = None) -> tuple[Array, A
         fall = level * fall + (k * system.level_rate)[None] * (rows - lost) + bent
         return (missing, left, fall, above + rows), None
 
-    count = lost.shape[0]
-    carried = (zero, zero, zero, above)
-    if series.echo is not None:  # a loop takes less time to compile: minutes less in second derivatives
-        every = (jnp.arange(count, dtype=zero.dtype), series.rows[:count], lost, bent)
-        return lax.scan(add, carried, every, reverse=True)[0][:3]
-    for k in range(count - 1, -1, -1):
-        carried, _ = add(carried, (k, series.rows[k], lost[k], bent[k]))
-    return carried[:3]
-
-
-def _row_moments(series: Series, s: Lanes, block: Array, start: int) -> list[Float[Array, "rows F *lanes"]]:
-    """Of each row of a block: Σ_a τ (1 − v^a) and Σ_a aδ τ v^a; v^s = e^{−δ s}."""
-    width, rate = block.shape[2], series.system.column_rate[None]
-    gap = power_gaps(decayed(s * series.system.column_rate), width)
-    a = jnp.asarray(_column(np.arange(float(width)), s.ndim), gap.dtype)
-    weights = gap[None], (a * rate * (1 - gap))[None]
-    if series.echo is not None:
-        return [(w[None] * block).sum(2) for w in weights]
-    zero = [jnp.zeros((len(block), *series.rows.shape[1:]), gap.dtype)] * 2
-
-    def add(k: Array, found: list[Array]) -> list[Array]:
-        each = (over_columns(w * block[k]) for w in weights)
-        return [lax.dynamic_update_index_in_dim(x, y, k, 0) for x, y in zip(found, each, strict=True)]
-
-    return lax.fori_loop(0, jnp.clip(series.last + 1 - start, 0, len(block)), add, zero)
+    # a loop takes less time to compile: minutes less in second derivatives
+    every = (jnp.arange(ROWS + 1, dtype=zero.dtype), series.rows, lost, bent)
+    missing, left, fall, _ = lax.scan(add, (zero,) * 4, every, reverse=True)[0]
+    return missing, left, fall
 
 
 def at_edge(series: Series) -> Lanes:
     """t'(0)."""
     c, system = series.amplitude, series.system
-    slope = -over_families(c * series.totals[2])
-    if series.echo is None:
-        return slope
+    slope = -(c * series.totals[2]).sum(0)
     once = jnp.ones_like(series.echo)  # D'(0)
     if system.lattice:
         slower, distance = _slower(series.echo_rate, system.rate[:1])
         once = jnp.exp(slower) / _relaxation(distance)
-    return slope + over_families(c * series.echo * once) * series.totals[0, 0]
+    return slope + (c * series.echo * once).sum(0) * series.totals[0, 0]
 
 
-def rise(series: Series, s: Lanes, blocks: int | None = None) -> tuple[Lanes, Lanes]:
+def rise(series: Series, s: Lanes) -> tuple[Lanes, Lanes]:
     """t(s) − t(0) and t'(s).
 
-    Summed as what every term has lost since s = 0: soft interfaces lift t by as little as b, which t − 1 would lose. Of a far
-    table, which holds for s ≥ `begins`, both are differences, and a lift by b costs the digits of b.
+    Summed as what every term has lost since s = 0: soft interfaces lift t by as little as b, which t − 1 would lose.
     """
-    if series.far:
-        return _rise_far(series, s)
     c, rate = series.amplitude, series.system.rate
-    missing, left, bent = _sums(series, s, blocks)
+    missing, left, bent = _sums(series, s)
     gone = decayed(s[None] * rate)
     lost, slope = missing + gone * left, (1 - gone) * (rate * left + bent)
-    if series.echo is None:
-        return -over_families(c * lost), -over_families(c * slope)
     D, D_slope = _difference(series, s)
     weight = c * series.echo
-    lost = over_families(c * lost) - over_families(weight * D) * left[0]
-    slope = over_families(c * slope) - over_families(weight * D_slope) * left[0] + over_families(weight * D) * bent[0]
+    lost = (c * lost).sum(0) - (weight * D).sum(0) * left[0]
+    slope = (c * slope).sum(0) - (weight * D_slope).sum(0) * left[0] + (weight * D).sum(0) * bent[0]
     return -lost, -slope
-
-
-def _rise_far(series: Series, s: Lanes) -> tuple[Lanes, Lanes]:
-    """By Horner's rule in r_2^{2s}."""
-    level_rate, rate = series.system.level_rate, series.system.rate[1]
-    ratio, power = 1 - decayed(s * level_rate), series.amplitude[1] * (1 - decayed(s * rate))
-    column = [jnp.ones_like(s), *(row[1, 0] for block in series.blocks for row in block)]
-    total = bent = jnp.zeros_like(s)
-    for k in range(len(column) - 1, -1, -1):
-        total, bent = ratio * total + column[k], ratio * bent + k * column[k]
-    return power * total - series.system.at_edge, -power * (rate * total + level_rate * bent)
-
-
-def died_out(series: Series, s: Lanes) -> Bool[Array, "*lanes"]:
-    """Whether the rows that were not stored are negligible at s."""
-    level = decayed(s * series.system.level_rate * series.rows.shape[0])
-    scale = jnp.minimum(jnp.abs(series.rows[1]).max(0), 1)
-    return (1 - level) * jnp.abs(series.beyond).max(0) <= ROW_TOLERANCE * scale
 
 
 def stress(series: Series, s: Lanes) -> tuple[Lanes, Lanes]:
     """t(s), the stress on contact s when all before it have broken, in σ_s, and t'(s).
 
-    Of a regular table: every digit at any s ≥ 0, however far beyond the crossing.
+    Every digit at any s ≥ 0, however far beyond the crossing.
     """
     c, rate = series.amplitude, series.system.rate
     _, left, bent = _sums(series, s)
     power = jnp.exp(-s[None] * rate)
-    value, slope = over_families(c * power * left), over_families(c * power * (rate * left + bent))
-    if series.echo is None:
-        return value, -slope
+    value, slope = (c * power * left).sum(0), (c * power * (rate * left + bent)).sum(0)
     D, D_slope = _difference(series, s)
     weight = c * series.echo
-    value = value + over_families(weight * D) * left[0]
-    return value, over_families(weight * D_slope) * left[0] - over_families(weight * D) * bent[0] - slope
+    value = value + (weight * D).sum(0) * left[0]
+    return value, (weight * D_slope).sum(0) * left[0] - (weight * D).sum(0) * bent[0] - slope
 
 
 def parts(series: Series, s: Lanes) -> Float[Array, "2 *lanes"]:
@@ -488,19 +357,16 @@ def parts(series: Series, s: Lanes) -> Float[Array, "2 *lanes"]:
     t, slope = stress(series, s)
     step = stress(series, s + 1)[0] - t if system.lattice else slope
     power = jnp.exp(-s[None] * system.mode_rate)
-    returned = over_families(power * over_columns(system.reflected * power[None]))
-    fall = (over_families(system.coupling) + returned) * t - step  # Σ (1 − r_m) V_m
+    returned = (power * (system.reflected * power[None]).sum(1)).sum(0)
+    fall = (system.coupling.sum(0) + returned) * t - step  # Σ (1 − r_m) V_m
     (gap_1, gap_2), free = system.gap, t - system.prestress
     return jnp.stack([fall - gap_2 * free, gap_1 * free - fall]) / (gap_1 - gap_2)[None]
 
 
 def stress_sums(series: Series, low: Lanes, high: Lanes) -> Float[Array, "2 *lanes"]:
-    """Σ_{low ≤ j < high} r_m^{j − low} t(j) for whole `low` ≤ `high`, term by term; on a line the integral.
-
-    Of a regular table, which stores every row.
-    """
+    """Σ_{low ≤ j < high} r_m^{j − low} t(j) for whole `low` ≤ `high`, term by term; on a line the integral."""
     system, span = series.system, high - low
-    table = jnp.concatenate([jnp.zeros_like(series.blocks[0][0])[None].at[0, :, 0].set(1), *series.blocks])
+    table = jnp.concatenate([jnp.zeros_like(series.table[:1]).at[0, :, 0].set(1), series.table])
     k, a = (_column(np.arange(n, dtype=table.dtype), low.ndim) for n in (table.shape[0], table.shape[2]))
     rate = (k[:, None] * system.level_rate[None, None] + a[None] * system.column_rate[None, None])[None, None]
     begin, length = low[None, None, None, None], span[None, None, None, None]
@@ -520,41 +386,13 @@ def stress_sums(series: Series, low: Lanes, high: Lanes) -> Float[Array, "2 *lan
         return -jnp.exp(-begin * (start + rate)) * jnp.expm1(-length * every) / over(every)
 
     total = (summed(of_families(system.rate)) * jnp.swapaxes(table, 0, 1)[None]).sum((2, 3))
-    if series.echo is not None:
-        # D(j) is a divided difference in μ, and so is its sum: (FG)[x,y] = F[x,y] G(y) + F(x) G[x,y]
-        D_low, D_high = (of_families(_difference(series, s)[0]) for s in (low, high))
-        difference = jnp.exp(-rate * begin) * (D_low - jnp.exp(-length * (rate + modes)) * D_high)
-        power = jnp.exp(-rate - modes) if system.lattice else 1
-        both = (difference + summed(of_families(series.echo_rate)) * power) / over(of_families(system.rate[:1]) + rate + modes)
-        total = total + series.echo[None] * (both * table[None, None, :, 0]).sum((2, 3))  # ρ_1's own family has κ = 0
+    # D(j) is a divided difference in μ, and so is its sum: (FG)[x,y] = F[x,y] G(y) + F(x) G[x,y]
+    D_low, D_high = (of_families(_difference(series, s)[0]) for s in (low, high))
+    difference = jnp.exp(-rate * begin) * (D_low - jnp.exp(-length * (rate + modes)) * D_high)
+    power = jnp.exp(-rate - modes) if system.lattice else 1
+    both = (difference + summed(of_families(series.echo_rate)) * power) / over(of_families(system.rate[:1]) + rate + modes)
+    total = total + series.echo[None] * (both * table[None, None, :, 0]).sum((2, 3))  # ρ_1's own family has κ = 0
     return (series.amplitude[None] * total).sum(1)
-
-
-def sums_from_edge(series: Series, s: Lanes) -> Float[Array, "2 *lanes"]:
-    """Σ_{0 ≤ j < s} r_m^j t(j) on the lattice, as `stress_sums`, of plain tables; NaN where the table does not hold it."""
-    system, last = series.system, series.last
-    rates = system.mode_rate[:, None] + system.rate[None]  # of mode and family at the head of the table
-    spans, steps = decayed(s[None, None] * rates), decayed(rates)
-    total = spans / steps
-    lag, start = (jnp.ones_like(s), s), 1
-    for block in (block for block in series.blocks if block.shape[0]):
-        count, width = block.shape[0], block.shape[2]
-        rows = [power_gaps(decayed(x * system.level_rate), start + count)[start:] for x in lag]
-        columns = [power_gaps(decayed(x * system.column_rate), width) for x in lag]
-
-        def add(k: Array, total: Array, block: Array = block, rows: Any = rows, columns: Any = columns) -> Array:
-            one, whole = (product_gap(row[k][None], column) for row, column in zip(rows, columns, strict=True))
-            each = (
-                product_gap(spans[:, :, None], whole[None, None])
-                / product_gap(steps[:, :, None], one[None, None])
-                * block[k][None]
-            )
-            return total + over_columns(each.reshape(-1, *each.shape[2:])).reshape(total.shape)
-
-        total = lax.fori_loop(0, jnp.clip(last + 1 - start, 0, count), add, total)
-        start += count
-    held = series.sound & (jnp.abs(series.beyond).max(0) <= ROW_TOLERANCE)
-    return jnp.where(held[None], (series.amplitude[None] * total).sum(1), jnp.nan)
 
 
 @in_full
@@ -565,8 +403,7 @@ def fields(series: Series, s: Array, x: Array, initial: Array | None = None) -> 
 
         Σ_m w_m X_m + Σ_mn R_mn (r_m r_n)^x X_n,     X_m = Σ_{x≤j<s} r_m^{j−x} t(j),
 
-    and on a line the integral. Of a regular table; `initial` is V_m at s = 0 where the series begins only once contact 0 has
-    broken.
+    and on a line the integral. `initial` is V_m at s = 0 where the series begins only once contact 0 has broken.
     """
     rate, behind = series.system.mode_rate, x < s
     at, beyond = jnp.where(behind, x, s), jnp.where(behind, 0, x - s)  # not min and max: one-sided derivatives at x = s
@@ -580,13 +417,11 @@ def fields(series: Series, s: Array, x: Array, initial: Array | None = None) -> 
 
 
 def edge_stress(series: Series, broken: Lanes) -> Lanes:
-    """Stress on contact 0 when contacts 0 … `broken` − 1 have broken in turn, in σ_s; NaN where a plain table does not hold it.
+    """Stress on contact 0 when contacts 0 … `broken` − 1 have broken in turn, in σ_s.
 
     Every break adds to it, so that the stress at the arrest is the largest on the way.
     """
     reached = series.system.weight + series.system.reflection.sum(0)
-    if series.echo is None:
-        return (reached * sums_from_edge(series, broken)).sum(0)
     return (reached * stress_sums(series, jnp.zeros_like(broken), broken)).sum(0)
 
 
@@ -653,11 +488,6 @@ def _moment_moves(n: int, at: tuple[Array], way: tuple[Array]) -> tuple[Array, A
     return _moment(n, at[0]), -_moment(n + 1, at[0]) * way[0]
 
 
-def product_gap(x: Array, y: Array) -> Array:
-    """1 − XY from 1 − X and 1 − Y."""
-    return x + (1 - x) * y
-
-
 def _column(x: np.ndarray, lanes: int) -> np.ndarray:
     """Numbers along the axis before `lanes` others."""
     return x.reshape(-1, *[1] * lanes)
@@ -683,25 +513,6 @@ def _power_gaps_move(count: int, at: tuple[Array], way: tuple[Array]) -> tuple[A
     n = jnp.asarray(_column(np.arange(1.0, count), way[0].ndim), gaps.dtype)
     slope = jnp.concatenate([jnp.zeros_like(gaps[:1]), n * (1 - gaps[:-1])])
     return gaps, slope * way[0][None]
-
-
-def over_columns(x: Float[Array, "F a *lanes"]) -> Float[Array, "F *lanes"]:
-    """Σ_a, written out: XLA hands its own reduction to a library that costs more than the sum.
-
-    For plain tables; the rows of regular ones are wide, and take less time to compile as reductions.
-    """
-    total = x[:, 0]
-    for a in range(1, x.shape[1]):
-        total = total + x[:, a]
-    return total
-
-
-def over_families(x: Float[Array, "F *lanes"]) -> Lanes:
-    """Σ_j, written out."""
-    total = x[0]
-    for j in range(1, x.shape[0]):
-        total = total + x[j]
-    return total
 
 
 @jax.custom_jvp
