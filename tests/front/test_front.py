@@ -226,9 +226,9 @@ def test_float32_on_soft_interfaces(float32):
     single = np.concatenate([[[931.9, 1000.0], [2.135e-9, 3e-7], [0.037, 0.3]], numbers], axis=1).astype(np.float32)
     double = Slider(*single.astype(float))
     for ends in {}, {"right": "free", "sites": 3000}, {"right": "clamped", "sites": 3000}:
-        expected = precursor_lengths(double, **ends)
+        expected = precursor_lengths(ended(double, **ends))
         assert (np.isfinite(expected) & (expected > 1)).sum() > 10
-        found = np.float64(precursor_length(Slider(*single), **ends))
+        found = np.float64(precursor_length(ended(Slider(*single), **ends)))
         np.testing.assert_allclose(found, expected, rtol=0.01 if ends else 0, atol=0.01)
     assert 4 < float(precursor_length(Slider(*single[:, 0]))) < 4.1
 
