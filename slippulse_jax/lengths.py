@@ -34,7 +34,7 @@ from slippulse_jax.front.arrest import (
     report_without_length,
 )
 from slippulse_jax.interface import Interface, check_bulk
-from slippulse_jax.rules import HARD, BreakRule, HardBreak, check_rule
+from slippulse_jax.rules import BreakRule, check_rule
 from slippulse_jax.slider import Slider
 
 LENGTHS, WITH_MORE, ENDED = Layout(few=64, worth_a_thread=16), Layout(), Layout(chunk=504)
@@ -52,7 +52,7 @@ ONE_BY_ONE = Layout(chunk=1, fusion_emitters=False)
 class Options(TypedDict, total=False):
     """Options of `precursor_lengths` on which the type of its result does not depend."""
 
-    rule: BreakRule
+    rule: BreakRule | None
     max_contacts: int
     event: EventKind
 
@@ -69,7 +69,7 @@ def precursor_lengths(
     slider: Slider,
     interface: Interface | None = None,
     *,
-    rule: BreakRule = HARD,
+    rule: BreakRule | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
     event: EventKind = "domino",
     derivatives: Literal[0, 1] = 0,
@@ -117,7 +117,7 @@ def lengths(
     slider: Slider,
     interface: Interface | None = None,
     *,
-    rule: BreakRule = HARD,
+    rule: BreakRule | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
     event: EventKind = "domino",
     derivatives: int = 0,
@@ -130,7 +130,7 @@ def lengths(
     check_max_contacts(max_contacts)
     if derivatives not in (0, 1):
         raise ValueError(f"derivatives = {derivatives!r}: must be 0 or 1, the highest order of derivatives wanted")
-    smooth = not isinstance(rule, HardBreak)
+    smooth = rule is not None
     columns, shape, kind = _columns(slider, interface, rule)
     general, own = general_kernel(kind, max_contacts, derivatives), columns
     if smooth or (derivatives and not _is_simple(slider)):
@@ -189,10 +189,10 @@ def arrests(slider: Slider, interface: Interface | None = None, *, max_contacts:
 # --- whole events, in which contacts break again -----------------------------------------------------------------------
 
 
-def whole_lengths(slider: Slider, interface: Interface | None, rule: BreakRule, max_contacts: int, derivatives: int = 0) -> Any:
+def whole_lengths(slider: Slider, interface: Interface | None, rule: BreakRule | None, max_contacts: int, derivatives: int = 0) -> Any:
     """Lengths of fronts, and of whole events where contacts break again."""
-    if not isinstance(rule, HardBreak):
-        raise ValueError("event = 'full': needs the hard rule")
+    if rule is not None:
+        raise ValueError("event = 'full': needs the paper's rule, rule=None")
     front = lengths(slider, interface, max_contacts=max_contacts, derivatives=derivatives)
     numbers, kind = jax.tree.flatten(front)  # the length, and its derivatives in slider and interface
     rows = np.stack(numbers)
@@ -302,7 +302,7 @@ def _is_simple(slider: Slider) -> bool:
     return slider.length is None and slider.machine is None
 
 
-def _columns(slider: Slider, interface: Interface | None, more: Any = HARD) -> tuple[list[Float[np.ndarray, " n"]], Any, Any]:
+def _columns(slider: Slider, interface: Interface | None, more: Any = None) -> tuple[list[Float[np.ndarray, " n"]], Any, Any]:
     """The numbers of every lane, one array each; the shape of the batch; and the tree that reassembles the arguments."""
     check_bulk(interface)
     numbers, kind = jax.tree.flatten((slider, interface, more))

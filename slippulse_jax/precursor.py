@@ -42,7 +42,7 @@ from slippulse_jax.front.arrest import (
 )
 from slippulse_jax.interface import AnyInterface, Interface, Profile
 from slippulse_jax.lengths import whole_lengths
-from slippulse_jax.rules import HARD, BreakRule, HardBreak, check_rule
+from slippulse_jax.rules import BreakRule, check_rule
 from slippulse_jax.slider import Slider
 
 FLOAT32_HEIGHT = 1000.0
@@ -113,7 +113,7 @@ def precursor_length(
     slider: Slider | Block,
     interface: Interface | Profile | None = None,
     *,
-    rule: BreakRule = HARD,
+    rule: BreakRule | None = None,
     sites: int | None = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
     event: EventKind = "domino",
@@ -135,8 +135,8 @@ def precursor_length(
     interface : Interface or Profile, optional
         Prestress and thresholds; the paper's own (relaxed, uniform) by default. An `Interface`
         broadcasts with the slider; a `Profile` belongs to one slider.
-    rule : BreakRule
-        What a contact does at its threshold: breaks as a whole (the paper's rule), or gradually, over a width. The smooth
+    rule : BreakRule, optional
+        What a contact does at its threshold: breaks as a whole (the paper's rule, by default), or gradually, over a width. The smooth
         length tends to that on a straight line as it gets narrower, and has a derivative in the width too; of blocks, where
         the event begins at the edge.
     sites : int, optional
@@ -146,7 +146,7 @@ def precursor_length(
         Breaks after which the front is given up.
     event : {"domino", "full"}
         The first front, in which each contact breaks at most once; or the whole event, in which contacts may break again, under
-        the hard rule. Both agree where none does, below b = 3.09 on relaxed sliders.
+        the paper's rule. Both agree where none does, below b = 3.09 on relaxed sliders.
 
     Returns
     -------
@@ -190,7 +190,7 @@ def precursor_length(
     if not isinstance(slider, Slider):
         _check_of_block(max_contacts=max_contacts)
         check_rule(rule, one=True)
-        if event == "full" and not isinstance(rule, HardBreak):
+        if event == "full" and rule is not None:
             raise ValueError("event = 'full': under a smooth rule a front passes each contact once, so there is no other event")
         if isinstance(slider, Block):
             return size.precursor_length(slider, interface, sites, rule, event)
@@ -212,9 +212,9 @@ def precursor_length(
     return length
 
 
-def _whole(slider: Slider, interface: AnyInterface, rule: BreakRule, sites: int | None, max_contacts: int) -> Array:
+def _whole(slider: Slider, interface: AnyInterface, rule: BreakRule | None, sites: int | None, max_contacts: int) -> Array:
     """Lengths of whole events of sliders, each on `sites` contacts or as many as it needs."""
-    if not isinstance(rule, HardBreak):
+    if rule is not None:
         raise ValueError("event = 'full': under a smooth rule a front passes each contact once, so there is no other event")
     if isinstance(interface, Profile):
         check_single("a Profile", slider=slider)

@@ -1,4 +1,7 @@
-"""Break rules: what a λ-contact does at its threshold."""
+"""Break rules: what a λ-contact does at its threshold.
+
+The paper's rule is ``rule=None``: a contact at or above its threshold breaks as a whole and repins at once, at zero stretch.
+"""
 
 from abc import abstractmethod
 from typing import Any
@@ -52,26 +55,9 @@ class BreakRule(eqx.Module):
         return True
 
 
-class HardBreak(BreakRule):
-    """The paper's rule: a contact at or above its threshold breaks as a whole and repins at once, at zero stretch."""
-
-    def broken(self, stress: Array, threshold: Array) -> Array:
-        """Fraction of a contact that breaks under a stress: 1 from the threshold on, else 0."""
-        return (stress >= threshold).astype(stress.dtype)
-
-    def overloaded_length(self, before: Array, after: Array, threshold_before: Array, threshold_after: Array) -> Array:
-        """Length of the part of the way from one contact to the next on which t ≥ θ, in λc.
-
-        t and t − θ are linear in between.
-        """
-        a, b = before - threshold_before, after - threshold_after
-        crosses = (a >= 0) != (b >= 0)
-        # 0 or 1 and no quotient where nothing crosses: the derivative there is zero, not the rounding error of one
-        part = jnp.maximum(a, b) / jnp.where(crosses, jnp.abs(a - b), 1)
-        return jnp.where(crosses, part, (a >= 0).astype(part.dtype))
-
-
-HARD = HardBreak()
+def fraction_broken(rule: BreakRule | None, stress: Array, threshold: Array) -> Array:
+    """Fraction of a contact that breaks; all of it or nothing under the paper's rule."""
+    return (stress >= threshold).astype(stress.dtype) if rule is None else rule.broken(stress, threshold)
 
 
 class SmoothBreak(BreakRule):
@@ -183,14 +169,14 @@ NUMBER = (jax.Array, np.ndarray, np.generic, int, float)
 def check_rule(rule: Any, *, one: bool = False) -> None:
     """Check that `rule` is a break rule, a single one if `one`.
 
-    A TypeError if it is no rule, is derived from `HardBreak`, of which no method would be used, or has a field that is neither
-    a number nor static; a ValueError if it is a batch where a single rule is needed.
+    A TypeError if it is no rule, or has a field that is neither a number nor static; a ValueError if it is a batch where a
+    single rule is needed.
     """
-    if type(rule) is HardBreak:
+    if rule is None:
         return
     name = type(rule).__name__
-    if isinstance(rule, HardBreak) or not isinstance(rule, BreakRule):
-        raise TypeError(f"rule = {rule!r}: must be HardBreak(), SmoothBreak(width), or a rule derived from BreakRule")
+    if not isinstance(rule, BreakRule):
+        raise TypeError(f"rule = {rule!r}: must be None, SmoothBreak(width), or a rule derived from BreakRule")
     for path, value in jax.tree_util.tree_leaves_with_path(rule):
         field = name + jax.tree_util.keystr(path)
         if not isinstance(value, NUMBER):

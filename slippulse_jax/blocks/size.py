@@ -36,7 +36,7 @@ from slippulse_jax.events import first
 from slippulse_jax.events.event import MORE_SITES
 from slippulse_jax.events.first import length_of
 from slippulse_jax.interface import Interface, Profile
-from slippulse_jax.rules import HARD, BreakRule, HardBreak
+from slippulse_jax.rules import BreakRule
 from slippulse_jax.slider import Slider
 
 FEWEST_CONTACTS, FIRST_TRIAL = 64, 512
@@ -99,7 +99,7 @@ def _record(block: Block, interface: Interface | Profile | None, sites: int | No
 
 
 def precursor_length(
-    block: Block, interface: Interface | Profile | None, sites: int | None, rule: BreakRule, kind: EventKind
+    block: Block, interface: Interface | Profile | None, sites: int | None, rule: BreakRule | None, kind: EventKind
 ) -> Float[Array, ""]:
     """ℓ of one block: see `slippulse_jax.precursor_length`."""
     found = under_grad_too(partial(_length, sites=sites, kind=kind))(block, interface, rule)
@@ -114,9 +114,9 @@ def precursor_length(
 
 
 def _length(
-    block: Block, interface: Interface | Profile | None, rule: BreakRule, sites: int | None, kind: EventKind
+    block: Block, interface: Interface | Profile | None, rule: BreakRule | None, sites: int | None, kind: EventKind
 ) -> Float[Array, ""]:
-    smooth = not isinstance(rule, HardBreak)
+    smooth = rule is not None
     if not smooth and not isinstance(interface, Profile) and _is_tall(block, sites):
         return tall_length(block, interface, kind)[0]
     found = resolved((block, interface, rule), sites, partial(first.length, kind=kind))
@@ -341,7 +341,7 @@ def lengths(block: Block, interface: Interface | None, kind: EventKind) -> Float
     for i in short[status == Outcome.RAN_THROUGH]:
         try:
             with jax.enable_x64(True):
-                found[i] = precursor_length(*_some(body, i), None, HARD, kind)
+                found[i] = precursor_length(*_some(body, i), None, None, kind)
         except NotFollowed:
             found[i] = np.inf
     return found

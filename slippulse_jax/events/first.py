@@ -24,7 +24,7 @@ from slippulse_jax.bulk.derivatives import by_forward_mode, with_gradient, with_
 from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, Event, event, overload, rises
 from slippulse_jax.front.front import FADED, Front, follow
 from slippulse_jax.interface import AnyInterface
-from slippulse_jax.rules import HARD, BreakRule, HardBreak
+from slippulse_jax.rules import BreakRule
 from slippulse_jax.slider import Slider
 
 ROUNDING = 16
@@ -254,7 +254,7 @@ def smooth_length(contacts: Relaxed, rule: BreakRule) -> Float[Array, ""]:
 
 
 @partial(jax.jit, static_argnames=("sites", "kind"))
-def length(body: Any, interface: AnyInterface, rule: BreakRule = HARD, *, sites: int, kind: EventKind) -> Float[Array, ""]:
+def length(body: Any, interface: AnyInterface, rule: BreakRule | None = None, *, sites: int, kind: EventKind) -> Float[Array, ""]:
     """ℓ of a body that has ``contacts``, under any rule."""
     given, tree = jax.tree.flatten((body, interface, rule))
     types = [x.dtype for x in given]
@@ -263,9 +263,9 @@ def length(body: Any, interface: AnyInterface, rule: BreakRule = HARD, *, sites:
         here = [x.astype(dtype) for x, dtype in zip(numbers, types, strict=True)]
         body, interface, rule = jax.tree.unflatten(tree, here)
         contacts = body.contacts(interface, sites)
-        if not isinstance(rule, HardBreak):
+        if rule is not None:
             return smooth_length(contacts, rule)
         return length_from(nucleated(contacts), contacts, kind)
 
-    first = with_gradient if isinstance(rule, HardBreak) else with_jacobian
+    first = with_gradient if rule is None else with_jacobian
     return by_forward_mode(one, first)(*(x.astype(float) for x in given))  # whole numbers too: the rule joins all tangents

@@ -33,7 +33,7 @@ from slippulse_jax.bodies.response import Response, propagators, with_response
 from slippulse_jax.bulk.derivatives import without_derivative
 from slippulse_jax.events.event import BREAKS_PER_SITE, event, most, rises
 from slippulse_jax.events.first import ROUNDING, alike
-from slippulse_jax.rules import BreakRule, HardBreak, check_rule
+from slippulse_jax.rules import BreakRule, check_rule
 
 CLOSEST = -(2**31)
 """For a trigger: the contact closest to its threshold, where only rounding keeps it below."""
@@ -71,7 +71,7 @@ def rupture(
     chain: Chain,
     state: State | None = None,
     *,
-    rule: BreakRule = HardBreak(),  # noqa: B008 - a constant without fields
+    rule: BreakRule | None = None,
     trigger: int | Int[Array, ""] | None = None,
     max_breaks: int | None = None,
     repin_delay: int = 0,
@@ -88,7 +88,7 @@ def rupture(
     state : State, optional
         By default that of the relaxed chain under the load that brings a first contact to its threshold (`nucleate`), which
         then breaks.
-    rule : BreakRule
+    rule : BreakRule, optional
         `SmoothBreak`, or one of your own, is the differentiable surrogate: one sweep from left to right.
     trigger : int, optional
         Site that breaks first, as returned by `nucleate`, even if rounding leaves it just below its threshold; −1 for none. By
@@ -135,12 +135,11 @@ def rupture(
         and not (np.ndim(trigger) == 0 and np.asarray(trigger).item() in range(-1, chain.sites))
     ):
         raise ValueError(f"trigger = {trigger!r}: must be one of the sites 0 … {chain.sites - 1}, or −1 for none")
-    hard = isinstance(rule, HardBreak)
-    none_given = CLOSEST if hard else -1
+    none_given = CLOSEST if rule is None else -1
     first = trigger.astype(jnp.int32) if isinstance(trigger, Tracer) else np.int32(none_given if trigger is None else trigger)
-    if not hard:
+    if rule is not None:
         if repin_delay:
-            raise ValueError("a smooth rule has no repin_delay: use HardBreak()")
+            raise ValueError(f"repin_delay = {repin_delay}: contacts of a smooth rule repin at once; use rule=None")
         return smooth_rupture(chain, state, rule, first)
     max_breaks = BREAKS_PER_SITE * chain.sites if max_breaks is None else max_breaks
     with jax.debug_infs(False):  # the length of an event that runs through is inf

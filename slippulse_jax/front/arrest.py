@@ -19,7 +19,7 @@ from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.bulk.derivatives import by_forward_mode
 from slippulse_jax.front import front
 from slippulse_jax.interface import AnyInterface, Interface, Profile
-from slippulse_jax.rules import HARD, BreakRule
+from slippulse_jax.rules import BreakRule
 from slippulse_jax.slider import Slider, of_one_type
 
 DEFAULT_MAX_CONTACTS = 10_000_000
@@ -58,7 +58,7 @@ def arrest(
     slider: Slider,
     interface: AnyInterface = None,
     max_contacts: int = DEFAULT_MAX_CONTACTS,
-    rule: BreakRule = HARD,
+    rule: BreakRule | None = None,
 ) -> Arrest:
     """Length, count, status and edge stress of the first precursor of one slider; differentiable forward."""
     modes = lattice_modes(slider)
@@ -87,7 +87,7 @@ def arrest(
 
 
 @partial(jax.jit, static_argnames=("name", "max_contacts"))
-def quantity(name: str, slider: Slider, interface: AnyInterface, max_contacts: int, rule: BreakRule = HARD) -> Array:
+def quantity(name: str, slider: Slider, interface: AnyInterface, max_contacts: int, rule: BreakRule | None = None) -> Array:
     """One number of the `arrest` of every slider of a batch, or of one slider on a profile.
 
     The length has derivatives of every order in every mode; the other numbers have none.

@@ -51,7 +51,7 @@ from jaxtyping import Array, Float
 from slippulse_jax.bodies.modes import Modes, equilibrium_fields, inverse, lattice_modes
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.interface import AnyInterface, Interface, Profile
-from slippulse_jax.rules import HARD, BreakRule, HardBreak
+from slippulse_jax.rules import BreakRule, fraction_broken
 from slippulse_jax.slider import Slider
 
 APPROACH = 45.0
@@ -179,7 +179,7 @@ def _with_slope(coefficients: Sequence[Any], x: Any) -> tuple[Any, Any]:
 
 
 def follow(
-    rule: BreakRule,
+    rule: BreakRule | None,
     start: Any,
     ahead: Callable[[Any], tuple[Array, Array]],
     release: Callable[[Any, Array, Array], Any],
@@ -191,13 +191,12 @@ def follow(
     It starts after contact 0 has broken as a whole, and is any state with the `position` of the contact ahead, whose stress and
     threshold are ``ahead(front)``; ``release(front, part, stress)`` is the front after that part of it has broken, under that
     stress. Return the front, stress and threshold of the contact ahead of it, the fraction of it that would break, and ℓ, which
-    ends on a curve of that `degree` under the hard rule.
+    ends on a curve of that `degree` under the paper's rule.
     """
-    whole = isinstance(rule, HardBreak)
 
     def passed(way: tuple[Array, ...], here: tuple[Array, Array], after: tuple[Array, Array]) -> tuple[Array, ...]:
         """Overloads of the contacts behind, the nearest first; under a smooth rule the length so far."""
-        if whole:
+        if rule is None:
             return (here[0] - here[1], *way[:-1])
         return (way[0] + rule.overloaded_length(here[0], after[0], here[1], after[1]),)
 
@@ -205,17 +204,17 @@ def follow(
         front, here, part, way = now
         front = release(front, part, here[0])
         after = ahead(front)
-        return front, after, rule.broken(*after), passed(way, here, after)
+        return front, after, fraction_broken(rule, *after), passed(way, here, after)
 
     first = ahead(start)
-    part = rule.broken(*first)
-    way = (jnp.zeros_like(part),) * (REACHED - 1) if whole else (part,)  # contact 0 breaks at its threshold exactly
+    part = fraction_broken(rule, *first)
+    way = (jnp.zeros_like(part),) * (REACHED - 1) if rule is None else (part,)  # contact 0 breaks at its threshold exactly
     # the neglected remainder is at most this fraction times the sum of a decay no slower than ρ_2 < 1
     nothing = rounding(part)
     end, last, part, way = lax.while_loop(
         lambda now: (now[2] > nothing) & (now[0].position < limit), step, (start, first, part, way)
     )
-    length = end_of_front(end.position, (last[0] - last[1], *way), degree) if whole else way[0]
+    length = end_of_front(end.position, (last[0] - last[1], *way), degree) if rule is None else way[0]
     return end, last, part, length
 
 
@@ -244,15 +243,15 @@ def contact_at(modes: Modes, contacts: AnyInterface, site: Any) -> tuple[Array, 
 
 
 def passage(
-    modes: Modes, contacts: AnyInterface = None, rule: BreakRule = HARD
+    modes: Modes, contacts: AnyInterface = None, rule: BreakRule | None = None
 ) -> tuple[Front, Callable[[Front], tuple[Array, Array]], Callable[[Front, Array, Array], Front]]:
     """How a front passes over contacts that repin at once: `start`, `ahead` and `release` for `follow`.
 
-    The hard rule compares stresses, so they are counted from contact 0 at nucleation, where small changes keep their digits. A
+    The paper's rule compares stresses, so they are counted from contact 0 at nucleation, where small changes keep their digits. A
     smooth rule asks for the stress itself, from zero: of its change the rounding would not fade.
     """
     nucleated = contact_at(modes, contacts, 0)
-    at_0, hard = nucleate(modes, nucleated[0] - nucleated[1]), isinstance(rule, HardBreak)
+    at_0, hard = nucleate(modes, nucleated[0] - nucleated[1]), rule is None
     threshold, prestress = nucleated if hard else (0 * x for x in nucleated)
     loaded = at_0.stress if hard else None
 
@@ -303,11 +302,17 @@ def sweep(
     return lax.scan(step, start, (prestress, *values))[1]
 
 
-def swept_length(rule: BreakRule, stress: Float[Array, " n"], threshold: Float[Array, " n"]) -> tuple[Array, Array]:
-    """ℓ on a straight line, as of a `Profile`, from the stresses of a sweep; and whether the front has ended within it."""
-    site, part = jnp.arange(stress.size), jax.vmap(rule.broken)(stress, threshold)
+def swept_length(rule: BreakRule | None, stress: Float[Array, " n"], threshold: Float[Array, " n"]) -> tuple[Array, Array]:
+    """ℓ on a straight line, from the stresses of a sweep; and whether it has ended.
+
+    As of a `Profile`.
+    """
+    site, part = jnp.arange(stress.size), jax.vmap(partial(fraction_broken, rule))(stress, threshold)
     ends = (part <= rounding(part)) & (site > 0)
     s0 = jnp.where(ends.any(), jnp.argmax(ends), stress.size - 1)
+    if rule is None:
+        over = stress - threshold
+        return end_of_front(s0.astype(over.dtype), (over[s0], over[s0 - 1]), 1), (s0 > 0) & ~(part[s0] > 0)
     steps = jax.vmap(rule.overloaded_length)(stress[1:-1], stress[2:], threshold[1:-1], threshold[2:])
     return part[1:2].sum() + jnp.where(site[1:-1] < s0, steps, 0).sum(), (s0 > 0) & (part[s0] <= FADED)
 
@@ -363,7 +368,7 @@ def slowest_approach(modes: Modes) -> Array:
     return 2 * product / (total + jnp.sqrt(jnp.maximum(total**2 - 4 * product, 0)))
 
 
-def never_stops_after(modes: Modes, contacts: AnyInterface, rule: BreakRule = HARD) -> Array:
+def never_stops_after(modes: Modes, contacts: AnyInterface, rule: BreakRule | None = None) -> Array:
     """Breaks after which a front that is still running never stops; inf where every front stops. Lanes last."""
     if contacts is None:
         return jnp.full_like(modes.load, jnp.inf)
@@ -374,6 +379,6 @@ def never_stops_after(modes: Modes, contacts: AnyInterface, rule: BreakRule = HA
         uniform, since = jnp.ones((), bool), np.shape(contacts.threshold)[0]
         threshold, prestress = contact_at(modes, contacts, since - 1)
     settled = since + APPROACH / slowest_approach(modes) + 10
-    part = rule.broken(prestress / runaway_prestress(modes), threshold)
+    part = fraction_broken(rule, prestress / runaway_prestress(modes), threshold)
     endless = uniform & (part > rounding(part)) if modes.echo is None else jnp.zeros((), bool)
     return jnp.ceil(jnp.minimum(jnp.where(endless, settled, jnp.inf), contacts.last_site()))

@@ -12,7 +12,7 @@ from slippulse_jax.base.domains import check_kind, check_single, check_whole
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.front.front import contact_at, sweep, swept_length
 from slippulse_jax.interface import AnyInterface, Interface, Profile
-from slippulse_jax.rules import BreakRule, HardBreak, check_rule
+from slippulse_jax.rules import BreakRule, check_rule
 from slippulse_jax.slider import Slider, check_endless
 
 
@@ -31,7 +31,7 @@ def sensitivity(
     interface: Interface | Profile | None = None,
     *,
     sites: int,
-    rule: BreakRule = HardBreak(),  # noqa: B008 - a constant without fields
+    rule: BreakRule | None = None,
 ) -> Sensitivity:
     """Length of the first precursor, and its derivative in every contact.
 
@@ -45,11 +45,11 @@ def sensitivity(
         Thresholds and prestress; relaxed and uniform by default. The first is loaded to θ_0.
     sites : int
         Number of contacts; more than the length, and for a smooth rule as many as the front takes to fade.
-    rule : BreakRule
+    rule : BreakRule, optional
 
     Notes
     -----
-    The length is that of a `Profile`, on a straight line between two contacts. Under the hard rule the threshold of a contact
+    The length is that of a `Profile`, on a straight line between two contacts. Under the paper's rule the threshold of a contact
     the front has passed has no effect: it breaks, whatever that is. Only the last contact broken and the one that stops the
     front have a dℓ/dθ, and contact 0, whose threshold sets the load; a smooth rule spreads it over contacts near theirs. The
     prestress of every contact matters, since it is released. Composes with ``jit`` and ``vmap``.
@@ -68,12 +68,12 @@ def sensitivity(
 
 
 @partial(jax.jit, static_argnames="sites")
-def _worked_out(slider: Slider, interface: AnyInterface, sites: int, rule: BreakRule) -> Sensitivity:
-    modes, site, hard = lattice_modes(slider), jnp.arange(sites), isinstance(rule, HardBreak)
+def _worked_out(slider: Slider, interface: AnyInterface, sites: int, rule: BreakRule | None) -> Sensitivity:
+    modes, site = lattice_modes(slider), jnp.arange(sites)
 
     def part(stress: Array, threshold: Array, site: Array) -> Array:
-        # contact 0 breaks as a whole, and under the hard rule those past the arrest too, which no length depends on
-        return jnp.where((site == 0) | hard, 1, rule.broken(stress, threshold))
+        # contact 0 breaks as a whole, and under the paper's rule those past the arrest too, which no length depends on
+        return 1 if rule is None else jnp.where(site == 0, 1, rule.broken(stress, threshold))
 
     def length(theta: Array, phi: Array) -> tuple[Array, tuple[Array, Array]]:
         stress = sweep(modes, theta[0], phi, part, theta, site)

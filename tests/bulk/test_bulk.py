@@ -14,7 +14,6 @@ from slippulse_jax.base.status import FRONT_OUTCOMES, Outcome
 from slippulse_jax.bulk import chunks as batch
 from slippulse_jax.exact import bulk as exact_lanes
 from slippulse_jax.front import lanes
-from slippulse_jax.rules import HardBreak
 
 MOST = 10_000_000
 
@@ -30,7 +29,7 @@ def by_recursion(lanes_):
 
 def kind(numbers):
     """What puts so many numbers of a lane together to slider, interface and rule."""
-    return jax.tree.structure((sp.Slider(25.0, 0.03, 0.3), sp.Interface() if numbers == 5 else None, HardBreak()))
+    return jax.tree.structure((sp.Slider(25.0, 0.03, 0.3), sp.Interface() if numbers == 5 else None, None))
 
 
 @pytest.fixture(scope="module")

@@ -375,7 +375,7 @@ def test_refusals():
         rupture(chain(FIG2, sites=5, law=jnp.tanh), c.relaxed())
     with pytest.raises(ValueError, match=r"batch.*jax.vmap"):
         rupture(batch([c, c]), c.relaxed())
-    with pytest.raises(TypeError, match="must be HardBreak"):
+    with pytest.raises(TypeError, match="must be None"):
         rupture(c, c.relaxed(), rule=0.01)
     with pytest.raises(ValueError, match="1e-6, 1"):
         SmoothBreak(width=2.0)

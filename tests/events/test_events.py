@@ -12,7 +12,6 @@ import slippulse_jax as sp
 from slippulse_jax import lengths
 from slippulse_jax.base.status import Outcome
 from slippulse_jax.lengths import FEW_SITES, arrests
-from slippulse_jax.rules import HARD
 
 
 def sliders_beyond(count, seed, *, shortest=6.0, tallest=60.0):
@@ -88,7 +87,7 @@ def test_events_under_prestress_and_on_rising_thresholds_against_dense_solves():
 @pytest.mark.ci
 def test_an_event_longer_than_expected_gets_more_sites():
     """Such that the front just fits the sites that are resolved at first."""
-    lane, kind = np.array([[50.0], [0.3], [0.3]]), jax.tree.structure((sp.Slider(50.0, 0.3, 0.3), None, HARD))
+    lane, kind = np.array([[50.0], [0.3], [0.3]]), jax.tree.structure((sp.Slider(50.0, 0.3, 0.3), None, None))
     longer = lengths.event_lengths(lane, kind, np.array([39.0]))
     np.testing.assert_allclose(lengths.event_lengths(lane, kind, np.array([3.0 * FEW_SITES])), longer, rtol=1e-12)
 
@@ -173,5 +172,5 @@ def test_what_an_event_does_not_take():
     slider = sp.Slider(50.0, 0.3, 0.3)
     with pytest.raises(ValueError, match=r"event = 'whole': must be one of 'domino', 'full'"):
         sp.precursor_lengths(slider, event="whole")
-    with pytest.raises(ValueError, match=r"event = 'full': needs the hard rule"):
+    with pytest.raises(ValueError, match=r"event = 'full': needs the paper's rule"):
         sp.precursor_lengths(slider, rule=sp.SmoothBreak(0.01), event="full")

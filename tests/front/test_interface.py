@@ -159,7 +159,7 @@ def test_falling_thresholds_run_away_where_nothing_holds():
 @pytest.mark.ci
 def test_derivatives():
     def length(x):
-        return precursor_length(Slider(x[0], x[1], x[2]), interface=Interface(x[3], x[4], 2))
+        return precursor_length(Slider(x[0], x[1], x[2]), interface=Interface(x[3], x[4]))
 
     at = np.array([25.3, 0.031, 0.3, 0.12, 0.003])
     step = 1e-6 * np.maximum(abs(at), 0.01)

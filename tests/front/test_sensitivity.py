@@ -10,13 +10,13 @@ from slippulse_jax.bodies.chain import chain
 from slippulse_jax.events.rupture import nucleate, rupture
 from slippulse_jax.front.arrest import arrest
 from slippulse_jax.front.sensitivity import sensitivity
-from slippulse_jax.rules import HardBreak, SmoothBreak
+from slippulse_jax.rules import SmoothBreak
 
 pytestmark = pytest.mark.ci
 
 FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
 SITES = 200
-RULES = [HardBreak(), SmoothBreak(width=0.02), SmoothBreak(width=1e-3)]
+RULES = [None, SmoothBreak(width=0.02), SmoothBreak(width=1e-3)]
 
 
 def fields(seed):
