@@ -87,7 +87,7 @@ class Push(eqx.Module):
     ----------
     height : float, optional
         Height of its centre over H; without `width`, of its lower end: it then covers everything above. Without either it
-        covers the whole side.
+        covers the whole side, which loads contacts alike: no domino starts.
     width : float, optional
         Height of the part of the side that it covers, over H.
     control : {"displacement", "force"}
@@ -138,13 +138,16 @@ class Push(eqx.Module):
         return centre - half, centre + half
 
 
-def checked_sites(block: "Block", sites: Any) -> int:
-    """Number of contacts to resolve, which must fit into memory; a block that ends needs all of its own."""
+def checked_sites(body: Any, sites: Any) -> int:
+    """Number of contacts to resolve, which must fit into memory.
+
+    A block that ends needs all of its own.
+    """
     check_whole("sites", sites, 2)
     if sites > MOST_CONTACTS:
-        raise ValueError(f"sites = {sites}: at most {MOST_CONTACTS} contacts of a block are resolved")
-    if sites < (block.sites or 0):
-        raise ValueError(f"sites = {sites}: a block of {block.sites} contacts needs all of them")
+        raise ValueError(f"sites = {sites}: at most {MOST_CONTACTS} contacts of a body are resolved")
+    if isinstance(body, Block) and sites < (body.sites or 0):
+        raise ValueError(f"sites = {sites}: a block of {body.sites} contacts needs all of them")
     return int(sites)
 
 

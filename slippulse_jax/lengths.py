@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from slippulse_jax.base.choices import EventKind
 from slippulse_jax.base.domains import Domain, check_choice, check_kind
 from slippulse_jax.base.status import Outcome
-from slippulse_jax.blocks.size import coarser, extrapolated
+from slippulse_jax.blocks.size import ONE_BY_ONE, coarser, extrapolated, grown
 from slippulse_jax.bodies.modes import FARTHEST
 from slippulse_jax.bodies.response import MOST_SITES
 from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, over_lanes
@@ -26,11 +26,10 @@ from slippulse_jax.exact import bulk as exact_lanes
 from slippulse_jax.exact.crossing import expected_length
 from slippulse_jax.front import lanes
 from slippulse_jax.front.arrest import (
-    DEFAULT_MAX_CONTACTS,
+    MOST_BREAKS,
     Arrest,
     LengthDerivatives,
     arrest,
-    check_max_contacts,
     report_without_length,
 )
 from slippulse_jax.interface import Interface, check_bulk
@@ -45,15 +44,12 @@ ROOM = 1.25
 """Sites resolved at first, over the length of the front: an event seldom goes a fifth farther."""
 FEW_SITES = 64
 """Smallest number of sites resolved of a slider. The largest is `MOST_SITES`; longer events are followed on larger contacts."""
-ONE_BY_ONE = Layout(chunk=1, fusion_emitters=False)
-"""Each lane is a loop of its own."""
 
 
 class Options(TypedDict, total=False):
     """Options of `precursor_lengths` on which the type of its result does not depend."""
 
     rule: BreakRule | None
-    max_contacts: int
     event: EventKind
 
 
@@ -70,7 +66,6 @@ def precursor_lengths(
     interface: Interface | None = None,
     *,
     rule: BreakRule | None = None,
-    max_contacts: int = DEFAULT_MAX_CONTACTS,
     event: EventKind = "domino",
     derivatives: Literal[0, 1] = 0,
 ) -> np.ndarray | LengthDerivatives:
@@ -86,7 +81,7 @@ def precursor_lengths(
     ----------
     slider : Slider
         Fields of any shapes that broadcast.
-    interface, rule, max_contacts
+    interface, rule
         As for `precursor_length`; the numbers of a smooth rule broadcast with the slider.
     event : {"domino", "full"}
         Length of the first front, in which each contact breaks once; or of the whole event, in which contacts may break again.
@@ -108,8 +103,8 @@ def precursor_lengths(
     order of breaks changes; the derivatives are those at a fixed order, which differ from its trend.
     """
     check_kind("slider", slider, Slider)
-    found = lengths(slider, interface, rule=rule, max_contacts=max_contacts, event=event, derivatives=derivatives)
-    _warn_of_missing(found.length if isinstance(found, LengthDerivatives) else found, slider, max_contacts)
+    found = lengths(slider, interface, rule=rule, event=event, derivatives=derivatives)
+    _warn_of_missing(found.length if isinstance(found, LengthDerivatives) else found, slider)
     return found
 
 
@@ -118,38 +113,39 @@ def lengths(
     interface: Interface | None = None,
     *,
     rule: BreakRule | None = None,
-    max_contacts: int = DEFAULT_MAX_CONTACTS,
     event: EventKind = "domino",
     derivatives: int = 0,
+    most: int = MOST_BREAKS,
 ) -> Any:
-    """`precursor_lengths` without warnings."""
+    """`precursor_lengths` without warnings; fronts are given up after `most` breaks."""
     check_choice("event", event, EventKind)
     check_rule(rule)
     if event == "full":
-        return whole_lengths(slider, interface, rule, max_contacts, derivatives)
-    check_max_contacts(max_contacts)
+        if rule is not None:
+            raise ValueError("event = 'full': needs the paper's rule, rule=None")
+        return whole_lengths(slider, interface, derivatives)
     if derivatives not in (0, 1):
         raise ValueError(f"derivatives = {derivatives!r}: must be 0 or 1, the highest order of derivatives wanted")
     smooth = rule is not None
     columns, shape, kind = _columns(slider, interface, rule)
-    general, own = general_kernel(kind, max_contacts, derivatives), columns
+    general, own = general_kernel(kind, most, derivatives), columns
     if smooth or (derivatives and not _is_simple(slider)):
         (found,) = over_lanes(general, columns, ANY, length_rank)
     elif derivatives:
-        (found,) = _by_loop(lanes.gradient_kernel(max_contacts), WITH_MORE, columns, general, columns)
+        (found,) = _by_loop(lanes.gradient_kernel(most), WITH_MORE, columns, general, columns)
     else:
-        kernel, layout = lanes.length_kernel(max_contacts), LENGTHS
+        kernel, layout = lanes.length_kernel(most), LENGTHS
         if not _is_simple(slider):
             # a missing end is too far, a missing machine too stiff, to matter
             far = (FARTHEST if x is None else np.minimum(x, FARTHEST) for x in (slider.length, slider.machine))
             right = "free" if slider.right == "semi-infinite" else slider.right
             numbers = Slider(slider.height, slider.stiffness, slider.poisson)
             own = _columns(numbers, interface or Interface(), (*far,))[0]
-            kernel, layout = lanes.length_kernel(max_contacts, right), ENDED
-        long = exact_lanes.which_are_long(columns) if len(columns) == 3 and max_contacts > exact_lanes.LONG else ()
+            kernel, layout = lanes.length_kernel(most, right), ENDED
+        long = exact_lanes.which_are_long(columns) if len(columns) == 3 and most > exact_lanes.LONG else ()
         rest, found = slice(None), np.full(len(columns[0]), np.nan)
         if len(long):  # relaxed fronts of which some are expected to be long: those by the series, where it settles
-            found[long] = exact_lanes.long_lengths([x[long] for x in columns], max_contacts)
+            found[long] = exact_lanes.long_lengths([x[long] for x in columns], most)
             rest = np.isnan(found)
         (found[rest],) = _by_loop(kernel, layout, [x[rest] for x in own], general, [x[rest] for x in columns])
     if not derivatives:
@@ -171,16 +167,16 @@ def _by_loop(kernel: Kernel, layout: Layout, columns: Lanes, general: Kernel, gi
     return found
 
 
-def arrests(slider: Slider, interface: Interface | None = None, *, max_contacts: int = DEFAULT_MAX_CONTACTS) -> Arrest:
-    """Count, length, status and edge stress of a batch of any size, as an `Arrest` of NumPy arrays of its shape.
+def arrests(slider: Slider, interface: Interface | None = None, *, most: int = MOST_BREAKS) -> Arrest:
+    """Count, length, status and edge stress of a batch of any size.
 
-    The numbers of `precursor_lengths`, with the outcome of each lane; no lane raises or warns.
+    An `Arrest` of NumPy arrays of its shape: the numbers of `precursor_lengths`, with the outcome of each lane. None raises or
+    warns.
     """
-    check_max_contacts(max_contacts)
     columns, shape, kind = _columns(slider, interface)
-    general = general_arrest_kernel(kind, max_contacts)
+    general = general_arrest_kernel(kind, most)
     if _is_simple(slider):
-        found = _by_loop(lanes.arrest_kernel(max_contacts), WITH_MORE, columns, general, columns)
+        found = _by_loop(lanes.arrest_kernel(most), WITH_MORE, columns, general, columns)
     else:
         found = over_lanes(general, columns, ANY, length_rank)
     return Arrest(*(x.reshape(shape) for x in found))
@@ -189,14 +185,12 @@ def arrests(slider: Slider, interface: Interface | None = None, *, max_contacts:
 # --- whole events, in which contacts break again -----------------------------------------------------------------------
 
 
-def whole_lengths(slider: Slider, interface: Interface | None, rule: BreakRule | None, max_contacts: int, derivatives: int = 0) -> Any:
+def whole_lengths(slider: Slider, interface: Interface | None, derivatives: int = 0) -> Any:
     """Lengths of fronts, and of whole events where contacts break again."""
-    if rule is not None:
-        raise ValueError("event = 'full': needs the paper's rule, rule=None")
-    front = lengths(slider, interface, max_contacts=max_contacts, derivatives=derivatives)
+    front = lengths(slider, interface, derivatives=derivatives)
     numbers, kind = jax.tree.flatten(front)  # the length, and its derivatives in slider and interface
     rows = np.stack(numbers)
-    again = arrests(slider, interface, max_contacts=max_contacts).status == Outcome.REBREAK
+    again = arrests(slider, interface).status == Outcome.REBREAK
     if again.any():
         columns, _, lane = _columns(slider, interface)
         rows[:, again] = event_lengths(np.stack(columns)[:, again.ravel()], lane, rows[0][again], derivatives)
@@ -213,25 +207,24 @@ def event_lengths(
     tree of a lane, and `front` the length of the front of each, in λc. inf where the event runs through a chain that ends, NaN
     where it was given up.
     """
-    found, ended = (
-        np.full((1 + derivatives * len(lanes), lanes.shape[1]), np.nan),
-        jax.tree.unflatten(kind, list(lanes))[0].length,
-    )
+    ended = jax.tree.unflatten(kind, list(lanes))[0].length
     resolved = FEW_SITES * MORE_SITES ** np.ceil(np.maximum(np.log(ROOM * front / FEW_SITES) / np.log(MORE_SITES), 0))
     if ended is not None:
         resolved = ended.copy()
         Domain(1, MOST_SITES, f"of an event a whole number up to {MOST_SITES}", closed="high").check("Slider.length", ended)
-    while (resolved <= MOST_SITES).any():
-        sites = int(resolved.min())
-        here = np.nonzero(resolved == sites)[0]
-        found[:, here] = over_lanes(event_kernel(kind, sites, derivatives), lanes[:, here], ONE_BY_ONE)[0]
-        farther = np.isinf(found[0, here]) & (ended is None)
-        found[:, here[farther]] = np.nan
-        resolved[here] = np.where(farther, MORE_SITES * sites, np.inf)
-    far = np.isfinite(resolved)
+
+    def follow(here: np.ndarray, sites: int) -> tuple[np.ndarray, np.ndarray]:
+        (rows,) = over_lanes(event_kernel(kind, sites, derivatives), lanes[:, here], ONE_BY_ONE)
+        return (ended is not None) | ~np.isinf(rows[0]), rows.T
+
+    found = grown(follow, resolved, MOST_SITES)
+    far = np.array([one is None for one in found])
+    rows = np.empty((1 + derivatives * len(lanes), lanes.shape[1]))
     if far.any():
-        found[:, far] = _on_larger_contacts(lanes[:, far], kind, front[far], derivatives)
-    return found
+        rows[:, far] = _on_larger_contacts(lanes[:, far], kind, front[far], derivatives)
+    for i in np.flatnonzero(~far):
+        rows[:, i] = found[i]
+    return rows
 
 
 def _on_larger_contacts(
@@ -275,23 +268,23 @@ def event_kernel(kind: Any, sites: int, derivatives: int) -> Kernel:
 
 
 @functools.cache
-def general_arrest_kernel(kind: Any, max_contacts: int) -> Kernel:
+def general_arrest_kernel(kind: Any, most: int) -> Kernel:
     """`Arrest` of lanes; `kind` is the tree that turns the numbers of a lane into slider, interface and rule."""
 
     def one(lane: Array) -> Arrest:
         slider, interface, _ = jax.tree.unflatten(kind, list(lane))
-        return arrest(slider, interface, max_contacts)
+        return arrest(slider, interface, most=most)
 
     return lambda lanes: tuple(map(jnp.asarray, jax.vmap(one, in_axes=1)(lanes)))
 
 
 @functools.cache
-def general_kernel(kind: Any, max_contacts: int, derivatives: int) -> Kernel:
+def general_kernel(kind: Any, most: int, derivatives: int) -> Kernel:
     """ℓ of such lanes; with derivatives an array of rows: ℓ, and its slope in every number."""
 
     def one(lane: Array) -> Array:
         slider, interface, rule = jax.tree.unflatten(kind, list(lane))
-        return jnp.asarray(arrest(slider, interface, max_contacts, rule).length)
+        return jnp.asarray(arrest(slider, interface, rule, most=most).length)
 
     mapped = jax.vmap(with_jacobian(one) if derivatives else one, in_axes=1, out_axes=-1)
     return lambda lanes: (mapped(lanes),)
@@ -321,12 +314,12 @@ def length_rank(lanes: Lanes) -> np.ndarray:
     return np.minimum(bits - ((127 - 10) << 10), 65535).astype(np.uint16)
 
 
-def _warn_of_missing(found: np.ndarray, slider: Slider, max_contacts: int) -> None:
+def _warn_of_missing(found: np.ndarray, slider: Slider) -> None:
     if np.isnan(np.min(found, initial=0)):  # nothing as large as the batch is made
         # a lane without a length was given up, or overflows double precision, which the first break already shows
         missing = np.isnan(found)
         height, stiffness, poisson = (np.broadcast_to(x, found.shape)[missing] for x in jax.tree.leaves(slider)[:3])
         status = np.zeros(found.shape, np.int32)
-        at_once = arrests(Slider(height, stiffness, poisson), max_contacts=1).status
+        at_once = arrests(Slider(height, stiffness, poisson), most=1).status
         status[missing] = np.where(at_once == Outcome.INVALID, Outcome.INVALID, Outcome.LIMIT)
-        report_without_length(status, max_contacts, raises=False, stacklevel=4)
+        report_without_length(status, raises=False, stacklevel=4)

@@ -95,7 +95,7 @@ def beside_run_away(rng: np.random.Generator, count: int) -> Found:
     prestress = np.clip(at + rng.choice([-1, 1], count) * spread(rng, 1e-7, 0.3, count), -0.99, 0.999)
     slope = np.where(rng.random(count) < 0.3, 0, rng.choice([-1, 1], count) * spread(rng, 1e-9, 1e-2, count))
     interface = sp.Interface(prestress, slope)
-    ended, (exact, status) = arrests(some, interface, max_contacts=100_000), exact_fronts(_rows(some, interface))
+    ended, (exact, status) = arrests(some, interface, most=100_000), exact_fronts(_rows(some, interface))
     counted = np.isin(ended.status, STOPPED)
     with np.errstate(invalid="ignore"):  # two that never stop
         stops = counted & (status == Outcome.ARRESTED) & (np.abs(exact - ended.length) > 1)

@@ -63,7 +63,7 @@ CALLS = {
     ),  # fmt: skip
     "slider": (lambda: sp.precursor_length(SLIDER), SINGLE),
     "slider, whole event": (lambda: sp.precursor_length(sp.Slider(50.0, 0.08, 0.3), event="full"), ROUNDED),
-    "record": (lambda: sp.first_precursor(SLIDER).arrest.stress, SINGLE),
+    "record": (lambda: sp.first_precursor(SLIDER).stress, SINGLE),
     "in bulk": (lambda: sp.precursor_lengths(SLIDER), 0),
     "exact": (lambda: sp.exact_length(SLIDER), SINGLE),
     "rupture": (lambda: sp.rupture(sp.chain(SLIDER, sites=80)).length, SINGLE),

@@ -36,7 +36,7 @@ def picture(figure, name):
 
 
 even = sp.Profile(np.ones(1))  # on a straight line, to which a smooth rule tends
-hard = jax.jit(jax.vmap(lambda h, q: arrest(sp.Slider(h, q, 0.3), even, max_contacts=100_000).length))
+hard = jax.jit(jax.vmap(lambda h, q: arrest(sp.Slider(h, q, 0.3), even, most=100_000).length))
 smooth = jax.jit(lambda h, q, w: sp.precursor_length(sp.Slider(h, q, 0.3), rule=sp.SmoothBreak(width=w)))
 
 

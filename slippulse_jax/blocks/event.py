@@ -11,16 +11,12 @@ H/λc = 400, and at 800 the event itself.
 from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from slippulse_jax.base.choices import EventKind
-from slippulse_jax.base.shown import in_a_line
-from slippulse_jax.base.status import Outcome
 from slippulse_jax.block import Block
 from slippulse_jax.blocks import elements
 from slippulse_jax.blocks import guide as waveguide
@@ -28,45 +24,8 @@ from slippulse_jax.blocks.guide import Edge, Guide, Slab
 from slippulse_jax.blocks.pressed import under_pressure
 from slippulse_jax.bodies.response import of_matrix
 from slippulse_jax.bulk.double import in_double
-from slippulse_jax.events.first import Relaxed, ended, first_event, nucleated
+from slippulse_jax.events.first import Relaxed, first_event, nucleated
 from slippulse_jax.interface import AnyInterface, Profile
-
-
-class BlockPrecursor(eqx.Module):
-    """First precursor of a block: lengths in λc, displacements u_s, stresses σ_s."""
-
-    block: Block
-    nucleation: Int[Array, ""]  # contact that breaks first
-    contacts_broken: Int[Array, ""]
-    breaks: Int[Array, ""]  # more than contacts broke where some broke again in a whole event
-    length: Float[Array, ""]  # ℓ, from the pushed edge to where the event stops; extrapolated where `precursor_length` does
-    load: Float[Array, ""]  # U at nucleation, in u_s; under a constant force, that force in K u_s
-    status: Int[Array, ""]  # an `Outcome`
-    stress_before: Float[Array, " sites"]  # at nucleation
-    stress: Float[Array, " sites"]  # when the event is over
-    pressure_before: Float[Array, " sites"] | None  # over the initial one, where thresholds follow it; at nucleation
-    pressure: Float[Array, " sites"] | None  # when the event is over
-    slip: Float[Array, " sites"]  # of the interface while it ran
-    pinning: Float[Array, " sites"]
-    event: EventKind = eqx.field(static=True)  # the first front, or the whole event
-
-    def __repr__(self) -> str:
-        return in_a_line(self, "block", "contacts_broken", "length", "load")
-
-    def __str__(self) -> str:
-        if isinstance(self.length, Tracer):
-            return repr(self)
-        text = (
-            f"first precursor: {int(self.contacts_broken)} contacts broken, length {float(self.length):.6g} λc, "
-            f"load at nucleation {float(self.load):.6g} u_s; {Outcome(int(self.status)).message}"
-        )
-        if int(self.status) == Outcome.NO_DOMINO and self.block.push.height is None:
-            text += "; a side that is pushed as a whole loads every contact alike, which leaves the neighbour just below"
-        if int(self.nucleation):
-            text += f"; it begins at contact {int(self.nucleation)}, not at the edge"
-        if int(self.breaks) > int(self.contacts_broken):
-            text += f"; contacts behind the front break again, {int(self.breaks)} breaks in all"
-        return text
 
 
 def unattached(block: Block, finer: int = 0) -> tuple[Edge, Slab]:
@@ -100,36 +59,6 @@ def contacts_of(block: Block, interface: AnyInterface, sites: int, bare: tuple[E
     valid = block.in_domain()
     found = Relaxed(response, threshold, prestress, k, last, valid, pressed=body, alike=not isinstance(interface, Profile))
     return found if block.machine is None else found.through(block.machine)
-
-
-@partial(jax.jit, static_argnames=("sites", "kind"))
-def precursor_of(
-    block: Block, interface: AnyInterface, sites: int, kind: EventKind, bare: tuple[Edge, Slab] | None = None
-) -> BlockPrecursor:
-    """Event of one block on its first `sites` contacts; `bare` from `unattached`."""
-    body = contacts_of(block, interface, sites, bare)
-    found, start = first_event(body, kind=kind)
-    pinning, before, stress, pressure = found.released, start.readings[0], found.stress, found.pressure
-    if body.pressed is not None:
-        after = body.pressed.balance(jnp.full(sites, jnp.inf), body.prestress, pinning, start.load)
-        before, stress, pressure = before * jnp.asarray(start.pressure), after.stretch * after.pressure, after.pressure
-    status, length = ended(found, start, body, kind)
-    return BlockPrecursor(
-        block=block,
-        nucleation=start.first.astype(jnp.int32),
-        contacts_broken=found.broken.sum().astype(jnp.int32),
-        breaks=found.breaks,
-        length=length,
-        load=start.load,
-        status=status,
-        stress_before=before,
-        stress=stress,
-        pressure_before=start.pressure,
-        pressure=pressure,
-        slip=pinning @ start.response.matrix[:, 0],
-        pinning=pinning,
-        event=kind,
-    )
 
 
 def with_friction(body: Relaxed, friction: Array) -> Relaxed:

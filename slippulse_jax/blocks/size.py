@@ -20,22 +20,20 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.core import Tracer
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from slippulse_jax.base.choices import EventKind
-from slippulse_jax.base.domains import check_whole
 from slippulse_jax.base.status import NotConverged, Outcome
 from slippulse_jax.block import MOST_CONTACTS, USUAL_NORMAL_STIFFNESS, Block, ContactLaw, Control, Push, Top, checked_sites
 from slippulse_jax.blocks import event as blocks
-from slippulse_jax.blocks.event import BlockPrecursor
 from slippulse_jax.bodies.response import MOST_SITES
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
 from slippulse_jax.bulk.derivatives import known, under_grad_too
 from slippulse_jax.bulk.double import in_double
 from slippulse_jax.events import first
 from slippulse_jax.events.event import MORE_SITES
-from slippulse_jax.events.first import length_of
-from slippulse_jax.interface import Interface, Profile
+from slippulse_jax.events.first import FirstPrecursor, length_of
+from slippulse_jax.interface import AnyInterface, Interface, Profile
 from slippulse_jax.rules import BreakRule
 from slippulse_jax.slider import Slider
 
@@ -65,104 +63,123 @@ NO_SITES = "a body needs sites, the number of contacts resolved: its length is n
 class NotFollowed(ValueError):
     """An event that does not stop within what can be followed."""
 
-    def __init__(self, body: Block | Slider, why: str) -> None:
+    def __init__(self, body: Any, why: str) -> None:
         super().__init__(
             f"the event of {body} {why}, farther than can be followed; under a prestress of half the threshold or more, "
             "or on falling thresholds, it may never stop"
         )
 
 
-def _without_length(block: Block, interface: Interface | Profile | None, status: Any) -> Exception:
+def _without_length(body: Any, interface: AnyInterface, status: Any) -> Exception:
     """Make the error for an event of which nothing is known."""
-    where = f"{block}" if interface is None else f"{block} on {interface}"
+    where = f"{body}" if interface is None else f"{body} on {interface}"
     kind = ValueError if status == Outcome.INVALID else NotConverged
     return kind(f"no length of {where}: {Outcome(int(status)).message}")
 
 
-# --- one block ---------------------------------------------------------------------------------------------------------
+# --- one body ----------------------------------------------------------------------------------------------------------
 
 
-def first_precursor(block: Block, interface: Interface | Profile | None, sites: int | None, kind: EventKind) -> BlockPrecursor:
-    """Record of one block: see `slippulse_jax.first_precursor`."""
-    found = in_double(_record)(block, interface, sites, kind)
-    _warn_of_few_sites(block, sites, found.length)
-    if block.sites is not None:  # no more than it has
-        found = jax.tree.map(lambda x: x[: block.sites] if jnp.ndim(x) else x, found)
-    return dataclasses.replace(found, block=block)  # not rounded
+def first_precursor(body: Any, interface: AnyInterface, sites: int | None, kind: EventKind) -> FirstPrecursor:
+    """Record of one body by its contacts: see `slippulse_jax.first_precursor`."""
+    found = in_double(_record)(body, interface, sites, kind)
+    _warn_of_few_sites(body, sites, found.length)
+    own = getattr(body, "sites", None)
+    if own is not None:  # no more than it has
+        found = jax.tree.map(lambda x: x[: int(own)] if jnp.ndim(x) else x, found)
+    return dataclasses.replace(found, body=body, interface=interface)  # not rounded
 
 
-def _record(block: Block, interface: Interface | Profile | None, sites: int | None, kind: EventKind) -> BlockPrecursor:
-    found = resolved((block, interface), sites, partial(blocks.precursor_of, kind=kind))
-    if isinstance(interface, Profile) or not _is_tall(block, sites):
+def _record(body: Any, interface: AnyInterface, sites: int | None, kind: EventKind) -> FirstPrecursor:
+    found = resolved((body, interface), sites, partial(first.record, kind=kind))
+    if isinstance(interface, Profile) or not _is_tall(body, sites):
         return found
-    return dataclasses.replace(found, length=tall_length(block, interface, kind)[0])  # one number, as `precursor_length` has it
+    return dataclasses.replace(found, length=tall_length(body, interface, kind)[0])  # one number, as `precursor_length` has it
 
 
 def precursor_length(
-    block: Block, interface: Interface | Profile | None, sites: int | None, rule: BreakRule | None, kind: EventKind
+    body: Any, interface: AnyInterface, sites: int | None, rule: BreakRule | None, kind: EventKind
 ) -> Float[Array, ""]:
-    """ℓ of one block: see `slippulse_jax.precursor_length`."""
-    found = under_grad_too(partial(_length, sites=sites, kind=kind))(block, interface, rule)
-    _warn_of_few_sites(block, sites, found)
+    """ℓ of one body by its contacts: see `slippulse_jax.precursor_length`."""
+    found = under_grad_too(partial(_length, sites=sites, kind=kind))(body, interface, rule)
+    _warn_of_few_sites(body, sites, found)
     if not isinstance(found, Tracer) and np.isnan(found):
-        tall = not isinstance(interface, Profile) and _is_tall(block, sites)  # which would have raised for any other reason
-        status = Outcome.LIFT_OFF if tall else in_double(_record)(block, interface, sites, kind).status
+        tall = not isinstance(interface, Profile) and _is_tall(body, sites)  # which would have raised for any other reason
+        status = Outcome.LIFT_OFF if tall else in_double(_record)(body, interface, sites, kind).status
         if status != Outcome.LIFT_OFF:
-            raise _without_length(block, interface, status)
-        warnings.warn(f"{block}: {Outcome.LIFT_OFF.message}", RuntimeWarning, stacklevel=4)
+            raise _without_length(body, interface, status)
+        warnings.warn(f"{body}: {Outcome.LIFT_OFF.message}", RuntimeWarning, stacklevel=4)
     return found
 
 
-def _length(
-    block: Block, interface: Interface | Profile | None, rule: BreakRule | None, sites: int | None, kind: EventKind
-) -> Float[Array, ""]:
-    smooth = rule is not None
-    if not smooth and not isinstance(interface, Profile) and _is_tall(block, sites):
-        return tall_length(block, interface, kind)[0]
-    found = resolved((block, interface, rule), sites, partial(first.length, kind=kind))
-    if smooth and not isinstance(found, Tracer) and np.isnan(found):
-        begins = int(resolved((block, interface), sites, partial(blocks.precursor_of, kind=kind)).nucleation)
+def _length(body: Any, interface: AnyInterface, rule: BreakRule | None, sites: int | None, kind: EventKind) -> Float[Array, ""]:
+    if rule is None and not isinstance(interface, Profile) and _is_tall(body, sites):
+        return tall_length(body, interface, kind)[0]
+    found = resolved((body, interface, rule), sites, partial(first.length, kind=kind))
+    if rule is not None and not isinstance(found, Tracer) and np.isnan(found):
+        begins = int(resolved((body, interface), sites, partial(first.record, kind=kind)).first)
         raise ValueError(f"rule = {rule!r}: a smooth front runs from the edge, and this event begins at contact {begins}")
     return found
 
 
-def _is_tall(block: Block, sites: int | None) -> bool:
+def _is_tall(body: Any, sites: int | None) -> bool:
     """Whether a length is extrapolated, on thresholds that are no profile."""
-    return sites is None and block.length is None and bool(known(block, NO_SITES).height > TALL)
+    return isinstance(body, Block) and sites is None and body.length is None and bool(known(body, NO_SITES).height > TALL)
 
 
-Found = TypeVar("Found", Array, BlockPrecursor)
+Found = TypeVar("Found", Array, FirstPrecursor)
 
 
 def resolved(given: tuple[Any, ...], sites: int | None, event: Callable[..., Found]) -> Found:
     """Compute an event on the contacts that it needs.
 
-    A record or length of block or slider, interface and rule: on `sites` contacts, all there are, or enough for it to stop.
+    A record or length of body, interface and rule: on `sites` contacts, all there are, or enough for it to stop.
     """
-    if sites is not None:
-        check_whole("sites", sites, 2)
-        return event(*given, sites=checked_sites(given[0], sites) if isinstance(given[0], Block) else int(sites))
+    if sites is not None or not hasattr(given[0], "sites"):
+        return event(*given, sites=checked_sites(given[0], sites))
     body, most = known(given[0], NO_SITES), MOST_SITES if isinstance(given[0], Slider) else MOST_CONTACTS
     if body.sites is not None:
         contacts = int(body.sites)
         if contacts > most:
             raise ValueError(f"{body} reaches beyond {most} contacts: take a coarser one of the same b")
-        if not isinstance(body, Slider):  # of similar blocks, one program
+        if isinstance(body, Block):  # of similar ones, one program
             contacts = max(FEWEST_CONTACTS, 1 << (contacts - 1).bit_length())
         return event(*given, sites=contacts)
     reach = min(int(np.ceil(body.height)), FIRST_TRIAL)
-    count = max(FEWEST_CONTACTS, 1 << (reach - 1).bit_length())
-    while count <= most:
-        found = event(*given, sites=count)
-        if not np.isposinf(known(found.length if isinstance(found, BlockPrecursor) else found, NO_SITES)):
-            return found
-        count *= MORE_SITES
-    raise NotFollowed(body, f"reaches beyond {count // MORE_SITES} contacts")  # under a wide smooth rule for ever
+    first_trial = max(FEWEST_CONTACTS, 1 << (reach - 1).bit_length())
+
+    def follow(_: Any, sites: int) -> tuple[list[bool], list[Found]]:
+        found = event(*given, sites=sites)
+        length = known(found.length if isinstance(found, FirstPrecursor) else found, NO_SITES)
+        return [not np.isposinf(length)], [found]
+
+    (found,) = grown(follow, [first_trial], most)
+    if found is None:  # under a wide smooth rule for ever
+        raise NotFollowed(body, f"reaches beyond {most} contacts")
+    return found
 
 
-def _warn_of_few_sites(block: Block, sites: int | None, length: Array) -> None:
+def grown(follow: Callable[[Int[np.ndarray, " m"], int], tuple[Any, Any]], sites: Any, most: int) -> list[Any]:
+    """Follow events of many bodies, each on ever more contacts until it stops before the last.
+
+    ``follow(which, sites)`` says of some bodies whether their events stop, and what these are. None of one that runs beyond
+    `most` contacts.
+    """
+    found, waiting = [None] * len(sites), np.asarray(sites, float)
+    while (waiting <= most).any():
+        count = int(waiting.min())
+        here = np.flatnonzero(waiting == count)
+        stops, events = follow(here, count)
+        for lane, stopped, event in zip(here, stops, events, strict=True):
+            found[lane] = event if stopped else None
+        waiting[here] = np.where(stops, np.inf, MORE_SITES * count)
+    return found
+
+
+def _warn_of_few_sites(body: Any, sites: int | None, length: Array) -> None:
     """Warn that an event reached the last resolved contact, not an end."""
-    if sites is not None and block.length is None and not isinstance(length, Tracer) and np.isposinf(length):
+    endless = isinstance(body, Slider | Block) and body.length is None
+    if sites is not None and endless and not isinstance(length, Tracer) and np.isposinf(length):
         warnings.warn(
             f"sites = {sites}: the event reached the last contact resolved, so its length is not known (inf); give more",
             RuntimeWarning,

@@ -150,14 +150,14 @@ def _of_slider(slider: "Slider") -> dict[str, Any]:
 
     from slippulse_jax.base.status import NotConverged, Outcome
     from slippulse_jax.bodies.modes import lattice_modes
-    from slippulse_jax.front.arrest import DEFAULT_MAX_CONTACTS, arrest
+    from slippulse_jax.front.arrest import MOST_BREAKS, arrest
 
     ended, load = jax.jit(  # one program: op by op JAX would compile sixty
         lambda slider: (arrest(slider), lattice_modes(slider).load)
     )(slider)
     status = Outcome(int(ended.status))
     if status is Outcome.LIMIT:
-        raise NotConverged(f"{status.message}; max_contacts = {DEFAULT_MAX_CONTACTS}")
+        raise NotConverged(f"{status.message}: {MOST_BREAKS}")
     if status is Outcome.INVALID:
         refuse(status.message)
     return {

@@ -8,13 +8,17 @@ import dataclasses
 from functools import partial
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from slippulse_jax.base.choices import EventKind
 from slippulse_jax.base.outcomes import first_of, length_or_reason
+from slippulse_jax.base.shown import html, in_a_line, short
 from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.chain import Chain, Springs, chain, eliminate, floats
 from slippulse_jax.bodies.equilibrium import all_numbers
@@ -29,6 +33,59 @@ from slippulse_jax.slider import Slider
 
 ROUNDING = 16
 """Units in the last place within which numbers along a chain are equal."""
+
+
+class FirstPrecursor(eqx.Module):
+    """The first precursor of one body, and its contacts before and after it.
+
+    Lengths are in λc, displacements in u_s, stresses in σ_s.
+    """
+
+    body: Any
+    interface: AnyInterface
+    contacts_broken: Int[Array, ""]  # s0, so that Λ = s0 λc of a front from the edge
+    length: Float[Array, ""]  # ℓ, the continuous length; extrapolated where `precursor_length` does
+    load: Float[Array, ""]  # U0 at nucleation: displacement of the drive, or a force held, in K u_s
+    status: Int[Array, ""]  # an `Outcome`
+    first: Int[Array, ""]  # contact that breaks first
+    breaks: Int[Array, ""]  # more than contacts broke where some broke again in a whole event
+    stress_before: Float[Array, " sites"]  # on every contact at nucleation
+    stress: Float[Array, " sites"]  # when the event is over
+    slip: Float[Array, " sites"]  # how far the interface moved while it ran; 0 where there is no contact
+    pinning: Float[Array, " sites"]  # how far pinning points moved: what contacts released, as a stress
+    pressure_before: Float[Array, " sites"] | None = None  # over the initial one, where anything follows it; at nucleation
+    pressure: Float[Array, " sites"] | None = None  # when the event is over
+    front_stress: Any = None  # of the front of a slider t(s), (sites,): on contact s once all before it have broken
+    event: EventKind = eqx.field(default="domino", static=True)  # the first front, or the whole event
+
+    @property
+    def edge_stress(self) -> Float[Array, ""]:
+        """Stress on contact 0 at arrest, of a front the largest behind it."""
+        return self.stress[0]
+
+    def __repr__(self) -> str:
+        return in_a_line(self, "body", "contacts_broken", "length", "load", "interface")
+
+    def _repr_html_(self) -> str:
+        rows = [
+            ("length, ℓ/λc", short(self.length)),
+            ("contacts broken", short(self.contacts_broken)),
+            ("load at nucleation, U/u_s", short(self.load)),
+            ("on", repr(self.body)),
+        ]
+        one = not isinstance(self.status, Tracer) and np.ndim(self.status) == 0
+        return html("First precursor", rows, below=Outcome(int(self.status)).message if one else "")
+
+    def __str__(self) -> str:
+        if isinstance(self.length, Tracer) or self.length.ndim:
+            return repr(self)
+        broken, first, breaks = int(self.contacts_broken), int(self.first), int(self.breaks)
+        text = (
+            f"first precursor: {broken} contact{'s' * (broken != 1)} broken, length {float(self.length):.6g} λc, "
+            f"load at nucleation {float(self.load):.6g} u_s; {Outcome(int(self.status)).message}"
+        )
+        text += f"; it begins at contact {first}, not at the edge" if first else ""
+        return text + (f"; contacts behind the front break again, {breaks} breaks in all" if breaks > broken else "")
 
 
 class Relaxed(NamedTuple):
@@ -206,6 +263,35 @@ def ended(found: Event, start: Nucleation, body: Relaxed, kind: EventKind) -> tu
     return status, length_or_reason(status, found.length(excess, excess.size - 1, body.alike))
 
 
+@partial(jax.jit, static_argnames=("sites", "kind"))
+def record(body: Any, interface: AnyInterface, sites: int, kind: EventKind) -> FirstPrecursor:
+    """Record of the event of a body's first `sites` contacts."""
+    contacts = body.contacts(interface, sites)
+    found, start = first_event(contacts, kind=kind)
+    pinning, before, stress, pressure = found.released, start.readings[0], found.stress, found.pressure
+    if contacts.pressed is not None:
+        after = contacts.pressed.balance(jnp.full(sites, jnp.inf), contacts.prestress, pinning, start.load)
+        before, stress, pressure = before * jnp.asarray(start.pressure), after.stretch * after.pressure, after.pressure
+    status, length = ended(found, start, contacts, kind)
+    return FirstPrecursor(
+        body=body,
+        interface=interface,
+        contacts_broken=found.broken.sum().astype(jnp.int32),
+        length=length,
+        load=start.load,
+        status=status,
+        first=start.first.astype(jnp.int32),
+        breaks=found.breaks,
+        stress_before=before,
+        stress=stress,
+        slip=pinning @ start.response.matrix[:, 0] * contacts.response.soft,
+        pinning=pinning,
+        pressure_before=start.pressure,
+        pressure=pressure,
+        event=kind,
+    )
+
+
 def length_of(body: Relaxed, kind: EventKind) -> tuple[Float[Array, ""], Int[Array, ""], Int[Array, ""]]:
     """ℓ of an event, how many contacts broke, and its `Outcome`."""
     found, start = first_event(body, kind=kind)
@@ -254,7 +340,9 @@ def smooth_length(contacts: Relaxed, rule: BreakRule) -> Float[Array, ""]:
 
 
 @partial(jax.jit, static_argnames=("sites", "kind"))
-def length(body: Any, interface: AnyInterface, rule: BreakRule | None = None, *, sites: int, kind: EventKind) -> Float[Array, ""]:
+def length(
+    body: Any, interface: AnyInterface, rule: BreakRule | None = None, *, sites: int, kind: EventKind
+) -> Float[Array, ""]:
     """ℓ of a body that has ``contacts``, under any rule."""
     given, tree = jax.tree.flatten((body, interface, rule))
     types = [x.dtype for x in given]

@@ -149,8 +149,8 @@ def series(
     TypeError
         If `protocol` is not a protocol, or if the series is differentiated: a comparison decides which contact breaks next.
     """
-    if isinstance(body, Slider) or not hasattr(body, "contacts"):
-        check_kind("body", body, Chain, Block)
+    if not hasattr(body, "contacts"):
+        check_kind("body", body, Slider, Block, Chain)
     check_kind("interface", interface, Interface, Profile, NoneType)
     if isinstance(body, Chain):
         check_linear(body, "a series")

@@ -125,8 +125,8 @@ def _crossings(theta: Float[Array, "fields lanes"]) -> tuple[Array]:
 
 def _effort(lanes: Lanes) -> np.ndarray:
     """Rank lanes by b, which determines the number of Newton steps, so that similar ones share a chunk."""
-    height, stiffness, poisson = (np.asarray(x, np.float32) for x in lanes[:3])
     with np.errstate(all="ignore"):
+        height, stiffness, poisson = (np.asarray(x, np.float32) for x in lanes[:3])
         rank = np.log2(2 * (1 + poisson) * stiffness * height) * 256 + 16384
     return np.nan_to_num(rank, nan=65535).clip(0, 65535).astype(np.uint16)
 
@@ -153,10 +153,10 @@ def which_are_long(lanes: Lanes) -> Int[np.ndarray, " m"]:
         return tall[expected_length(*(field[tall] for field in lanes[:3])) >= LONG] if len(tall) else tall
 
 
-def long_lengths(lanes: Lanes, max_contacts: int) -> Float[np.ndarray, " n"]:
+def long_lengths(lanes: Lanes, most: int) -> Float[np.ndarray, " n"]:
     """ℓ of relaxed lanes, from which ℓ* departs by less than rounding; NaN where the recursion has to decide."""
     length, status = exact_fronts(np.stack([*lanes]))
-    long = (length > LONG / 2) & (length < max_contacts)  # on stiff contacts it may be short after all
+    long = (length > LONG / 2) & (length < most)  # on stiff contacts it may be short after all
     return np.where((status == Outcome.ARRESTED) & long, length, np.nan)
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.base.domains import check_whole
 from slippulse_jax.base.outcomes import length_or_reason, outcome
 from slippulse_jax.base.status import NotConverged, Outcome
 from slippulse_jax.bodies.modes import lattice_modes
@@ -22,7 +21,7 @@ from slippulse_jax.interface import AnyInterface, Interface, Profile
 from slippulse_jax.rules import BreakRule
 from slippulse_jax.slider import Slider, of_one_type
 
-DEFAULT_MAX_CONTACTS = 10_000_000
+MOST_BREAKS = 10_000_000
 """Breaks after which a front is given up: beyond any slider of H/λc up to several million."""
 
 AnyArray = Array | np.ndarray
@@ -57,15 +56,19 @@ class FrontNotArrested(NotConverged):
 def arrest(
     slider: Slider,
     interface: AnyInterface = None,
-    max_contacts: int = DEFAULT_MAX_CONTACTS,
     rule: BreakRule | None = None,
+    *,
+    most: int = MOST_BREAKS,
 ) -> Arrest:
-    """Length, count, status and edge stress of the first precursor of one slider; differentiable forward."""
+    """Length, count, status and edge stress of one first precursor.
+
+    It is given up after `most` breaks. Differentiable forward.
+    """
     modes = lattice_modes(slider)
     over = front.passage(modes, interface, rule)
     # where a front counts as one that never stops, or is given up; and how many contacts there are
     end, contacts = front.never_stops_after(modes, interface, rule), slider.sites
-    limit = jnp.minimum(jnp.minimum(end, 2.0e9).astype(jnp.int32), max_contacts)
+    limit = jnp.minimum(jnp.minimum(end, 2.0e9).astype(jnp.int32), most)
     before_last = limit if contacts is None else jnp.minimum(limit, contacts - 1)
     at, (stress, threshold), part, length = front.follow(rule, *over, before_last, front.degree_of(interface))
 
@@ -86,8 +89,8 @@ def arrest(
     return Arrest(at.position, length_or_reason(status, length), status, at.edge[0])
 
 
-@partial(jax.jit, static_argnames=("name", "max_contacts"))
-def quantity(name: str, slider: Slider, interface: AnyInterface, max_contacts: int, rule: BreakRule | None = None) -> Array:
+@partial(jax.jit, static_argnames="name")
+def quantity(name: str, slider: Slider, interface: AnyInterface, rule: BreakRule | None = None) -> Array:
     """One number of the `arrest` of every slider of a batch, or of one slider on a profile.
 
     The length has derivatives of every order in every mode; the other numbers have none.
@@ -96,7 +99,7 @@ def quantity(name: str, slider: Slider, interface: AnyInterface, max_contacts: i
 
     def one(*numbers: Array) -> Array:
         slider, interface, rule = jax.tree.unflatten(kind, numbers)
-        return getattr(arrest(slider, interface, max_contacts, rule), name)
+        return getattr(arrest(slider, interface, rule), name)
 
     numbers = of_one_type(slider, *jax.tree.leaves((slider, interface, rule))[3:])
     if name == "length":
@@ -106,20 +109,16 @@ def quantity(name: str, slider: Slider, interface: AnyInterface, max_contacts: i
     return one(*numbers) if isinstance(interface, Profile) else jnp.vectorize(one)(*numbers)
 
 
-def check_max_contacts(max_contacts: int) -> None:
-    """Check the cap on breaks, which a 32-bit count must hold."""
-    check_whole("max_contacts", max_contacts, 1)
-    if max_contacts >= 2**31 - 1:
-        raise ValueError(f"max_contacts = {max_contacts!r}: must be below 2**31 - 1")
+def report_without_length(status: np.ndarray, *, raises: bool, stacklevel: int = 3) -> None:
+    """Raise or warn about fronts that were given up, or whose slider is none.
 
-
-def report_without_length(status: np.ndarray, max_contacts: int, *, raises: bool, stacklevel: int = 3) -> None:
-    """Raise or warn about the fronts that were given up, or whose slider is none (rounded to single precision, say)."""
+    As one rounded to single precision may be.
+    """
     for kind in (Outcome.LIMIT, Outcome.INVALID):
         lanes = status == kind
         if not lanes.any():
             continue
-        why = kind.message + (f"; max_contacts = {max_contacts}" if kind is Outcome.LIMIT else "")
+        why = kind.message + (f": {MOST_BREAKS}" if kind is Outcome.LIMIT else "")
         if raises:
             raise FrontNotArrested(why) if kind is Outcome.LIMIT else ValueError(why)
         first = tuple(int(i) for i in np.argwhere(lanes)[0])

@@ -48,7 +48,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from slippulse_jax.bodies.modes import Modes, equilibrium_fields, inverse, lattice_modes
+from slippulse_jax.bodies.modes import ChainFields, Modes, equilibrium_fields, inverse, lattice_modes
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.interface import AnyInterface, Interface, Profile
 from slippulse_jax.rules import BreakRule, fraction_broken
@@ -247,8 +247,8 @@ def passage(
 ) -> tuple[Front, Callable[[Front], tuple[Array, Array]], Callable[[Front, Array, Array], Front]]:
     """How a front passes over contacts that repin at once: `start`, `ahead` and `release` for `follow`.
 
-    The paper's rule compares stresses, so they are counted from contact 0 at nucleation, where small changes keep their digits. A
-    smooth rule asks for the stress itself, from zero: of its change the rounding would not fade.
+    The paper's rule compares stresses, so they are counted from contact 0 at nucleation, where small changes keep their
+    digits. A smooth rule asks for the stress itself, from zero: of its change the rounding would not fade.
     """
     nucleated = contact_at(modes, contacts, 0)
     at_0, hard = nucleate(modes, nucleated[0] - nucleated[1]), rule is None
@@ -345,6 +345,19 @@ def front_stress(modes: Modes, count: int, contacts: AnyInterface = None) -> Flo
     """t(0) … t(count − 1) of contacts that break as a whole and repin at once."""
     threshold, prestress = contact_at(modes, contacts, jnp.arange(count))
     return sweep(modes, threshold[0], prestress)
+
+
+@partial(jax.jit, static_argnames="sites")
+def front_fields(slider: Slider, interface: AnyInterface = None, *, position: Any, sites: int) -> ChainFields:
+    """Fields once contacts 0 … position − 1 of a slider have broken.
+
+    At the load of nucleation, on the first `sites` contacts: position 0 is nucleation, `contacts_broken` is arrest. Those of
+    `slippulse_jax.exact.front.exact_fields`, by the recursion.
+    """
+    modes, site = lattice_modes(slider), jnp.arange(sites)
+    threshold, prestress = contact_at(modes, interface, site)
+    pinning = jnp.where(site < position, sweep(modes, threshold[0], prestress), 0)
+    return equilibrium_fields(modes, modes.load * (threshold[0] - prestress[0]), pinning, prestress)
 
 
 # --- run-away ----------------------------------------------------------------------------------------------------------

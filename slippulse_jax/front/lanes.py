@@ -77,15 +77,15 @@ LaneAndFront = tuple[Lane, State]
 
 
 @functools.cache
-def length_kernel(max_contacts: int, right: RightEnd = "semi-infinite") -> Kernel:
+def length_kernel(most: int, right: RightEnd = "semi-infinite") -> Kernel:
     """ℓ of lanes (height, stiffness, poisson[, prestress, threshold_slope[, sites, machine]]), in λc.
 
     Of uniform interfaces. inf where a front never stops or runs through, NaN where it is given up after
-    `max_contacts` breaks.
+    `most` breaks.
     """
 
     def lengths(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
-        given, end = _given(parameters, max_contacts)
+        given, end = _given(parameters, most)
         (arrested,) = _arrested(_rates, functools.partial(_begun, right=right), given)
         return (_length(arrested, end, _once(_crossing, arrested)),)
 
@@ -93,14 +93,14 @@ def length_kernel(max_contacts: int, right: RightEnd = "semi-infinite") -> Kerne
 
 
 @functools.cache
-def arrest_kernel(max_contacts: int) -> Kernel:
+def arrest_kernel(most: int) -> Kernel:
     """Contacts broken, ℓ, status, and stress on contact 0 in σ_s.
 
     Of lanes as for `length_kernel`.
     """
 
     def arrests(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
-        given, end = _given(parameters, max_contacts)
+        given, end = _given(parameters, most)
         (arrested,) = _arrested(_rates, functools.partial(_begun, with_edge=True), given)
         length, (lane, front) = _length(arrested, end, _once(_crossing, arrested)), arrested
         broken, (_, excess), (_, _, edge) = front.position, _stress_and_excess(lane, front), front.edge
@@ -111,14 +111,14 @@ def arrest_kernel(max_contacts: int) -> Kernel:
 
 
 @functools.cache
-def gradient_kernel(max_contacts: int) -> Kernel:
+def gradient_kernel(most: int) -> Kernel:
     """ℓ of lanes, and its derivative in every field: rows of one array.
 
     Lanes, and ℓ to rounding, are those of `length_kernel`; NaN is the derivative of what is no number.
     """
 
     def lengths(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
-        given, end = _given(parameters, max_contacts)
+        given, end = _given(parameters, most)
         one, fields = jnp.ones_like(end), range(len(given))
         ways = (tuple(one if field == moving else None for field in fields) for moving in fields[1:])
         arrested, *rates = _arrested(_rates, _begun, given, *ways)
@@ -130,7 +130,7 @@ def gradient_kernel(max_contacts: int) -> Kernel:
 
 
 @functools.cache
-def jet_kernel(max_contacts: int, right: RightEnd = "semi-infinite") -> Kernel:
+def jet_kernel(most: int, right: RightEnd = "semi-infinite") -> Kernel:
     """ℓ of lanes, and its first and second derivative along a line.
 
     A lane is the logarithms of H/λc and k/K, and ν[, φ, ε[, and the logarithms of N and M/K]]; then the direction of the line,
@@ -142,7 +142,7 @@ def jet_kernel(max_contacts: int, right: RightEnd = "semi-infinite") -> Kernel:
 
     def jets(parameters: Float[Array, "fields lanes"]) -> tuple[Array, ...]:
         at, direction = jnp.split(parameters, 2)
-        (limit, *_), end = _given(jnp.stack(_plain(at)), max_contacts)
+        (limit, *_), end = _given(jnp.stack(_plain(at)), most)
         rate, bend = (None, *direction), (None,) * (1 + len(direction))
         moving = _arrested(_rate_and_bend, begun, (limit, *at), rate, bend)
         crossing, *slopes = _once(functools.partial(_rate_and_bend, _crossing), *moving)
@@ -156,7 +156,7 @@ def _plain(numbers: Any) -> list[Number]:
     return [x if 2 <= i < 5 else jnp.exp(x) for i, x in enumerate(numbers)]
 
 
-def _given(parameters: Float[Array, "fields lanes"], max_contacts: int) -> tuple[tuple[Number, ...], Number]:
+def _given(parameters: Float[Array, "fields lanes"], most: int) -> tuple[tuple[Number, ...], Number]:
     """`Lane.limit` and the parameters; and breaks after which a front never stops."""
     end = jnp.full_like(parameters[0], jnp.inf)
     if len(parameters) > 3:
@@ -167,7 +167,7 @@ def _given(parameters: Float[Array, "fields lanes"], max_contacts: int) -> tuple
         # a front that would stop nowhere on an endless chain may yet stop at the end of a short one
         contacts = jnp.ceil(parameters[5] - 0.5)
         end = jnp.where(contacts < FAR_END, contacts, end)
-    return (jnp.minimum(end, max_contacts), *parameters), end
+    return (jnp.minimum(end, most), *parameters), end
 
 
 # --- derivations -------------------------------------------------------------------------------------------------------

@@ -49,10 +49,10 @@ def sensitivity(
 
     Notes
     -----
-    The length is that of a `Profile`, on a straight line between two contacts. Under the paper's rule the threshold of a contact
-    the front has passed has no effect: it breaks, whatever that is. Only the last contact broken and the one that stops the
-    front have a dℓ/dθ, and contact 0, whose threshold sets the load; a smooth rule spreads it over contacts near theirs. The
-    prestress of every contact matters, since it is released. Composes with ``jit`` and ``vmap``.
+    The length is that of a `Profile`, on a straight line between two contacts. Under the paper's rule the threshold of a
+    contact the front has passed has no effect: it breaks, whatever that is. Only the last contact broken and the one that
+    stops the front have a dℓ/dθ, and contact 0, whose threshold sets the load; a smooth rule spreads it over contacts near
+    theirs. The prestress of every contact matters, since it is released. Composes with ``jit`` and ``vmap``.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def _worked_out(slider: Slider, interface: AnyInterface, sites: int, rule: Break
 
     def part(stress: Array, threshold: Array, site: Array) -> Array:
         # contact 0 breaks as a whole, and under the paper's rule those past the arrest too, which no length depends on
-        return 1 if rule is None else jnp.where(site == 0, 1, rule.broken(stress, threshold))
+        return jnp.ones_like(stress) if rule is None else jnp.where(site == 0, 1, rule.broken(stress, threshold))
 
     def length(theta: Array, phi: Array) -> tuple[Array, tuple[Array, Array]]:
         stress = sweep(modes, theta[0], phi, part, theta, site)

@@ -21,7 +21,7 @@ from slippulse_jax.events.catalogue import Catalogue, EventClass
 from slippulse_jax.events.inertia import quasi_static_break_time, simulate_inertial
 from slippulse_jax.events.rupture import nucleate, rupture
 from slippulse_jax.events.series import Steps, series
-from slippulse_jax.front.front import runaway_prestress
+from slippulse_jax.front.front import front_fields, runaway_prestress
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.lengths import arrests, precursor_lengths
 from slippulse_jax.paper import FIG2
@@ -148,8 +148,8 @@ def count() -> Finding:
 )
 def displacements() -> Finding:
     """As the front passes, u_t hardly changes while u almost doubles."""
-    found = first_precursor(FIG2)
-    before, after, broken = found.nucleation, found.arrest, int(found.contacts_broken)
+    broken = int(first_precursor(FIG2).contacts_broken)
+    before, after = (front_fields(FIG2, position=s, sites=4 * broken) for s in (0, broken))
     upper = np.asarray(after.upper / before.upper)[:broken]
     layer = np.asarray(after.layer / before.layer)[:broken]
     each = (upper < 1.1) & (layer > 1.5) & (layer < 2)
@@ -161,7 +161,7 @@ def displacements() -> Finding:
 def stress() -> Finding:
     """The stress peaks at the front, and behind it grows with the distance from it."""
     found = first_precursor(FIG2)
-    after, broken = np.asarray(found.arrest.stress), int(found.contacts_broken)
+    after, broken = np.asarray(found.stress), int(found.contacts_broken)
     falling = bool((np.diff(after[:broken]) < 0).all())
     text = f"largest stress {after.max():.3f} σ_s on contact {int(after.argmax())} (front at {broken}); behind it " + (
         f"monotonic, up to {after[0]:.3f} σ_s at the edge" if falling else "not monotonic"

@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from slippulse_jax.base.files import write_atomically
-from slippulse_jax.blocks.event import BlockPrecursor
 from slippulse_jax.bodies.modes import ChainFields
-from slippulse_jax.interface import Interface, Profile
+from slippulse_jax.events.first import FirstPrecursor
+from slippulse_jax.front.front import front_fields
 from slippulse_jax.plot import style
 from slippulse_jax.plot.blocks import Frames, draw_block, frames_of
 from slippulse_jax.plot.labels import DISTANCE, axis_label
-from slippulse_jax.precursor import FirstPrecursor
+from slippulse_jax.slider import Slider
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -27,10 +27,9 @@ SUFFIXES = (".gif", ".mp4", ".html")
 
 
 def animate(
-    precursor: FirstPrecursor | BlockPrecursor,
+    precursor: FirstPrecursor,
     path: str | Path | None = None,
     *,
-    interface: Interface | Profile | None = None,
     sites: int | None = None,
     fps: float = 12.0,
     hold: float = 1.0,
@@ -43,12 +42,10 @@ def animate(
 
     Parameters
     ----------
-    precursor : FirstPrecursor or BlockPrecursor
-        Result of `first_precursor` for one slider or block; its front must have stopped.
+    precursor : FirstPrecursor
+        Result of `first_precursor` for the front of one slider, or for one block; it must have stopped.
     path : path, optional
         File to write: ``.gif``, ``.mp4`` (needs ffmpeg) or ``.html``; it appears whole or not at all.
-    interface : Interface or Profile, optional
-        That of a block, as `first_precursor` had it.
     sites : int, optional
         Number of contacts to show of a slider; by default twice the number that break.
     fps : float
@@ -75,10 +72,10 @@ def animate(
 
     if np.ndim(precursor.contacts_broken):
         raise ValueError("animate takes one precursor, not a batch")
-    of_block = isinstance(precursor, BlockPrecursor)
-    broken = int(precursor.breaks if of_block else precursor.contacts_broken)
-    recorded = int((precursor.stress if of_block else precursor.front_stress).shape[0])
-    if not np.isfinite(float(precursor.length)) or (broken > recorded and not of_block):
+    of_front, broken, recorded = precursor.front_stress is not None, int(precursor.breaks), precursor.stress.shape[0]
+    if not of_front and isinstance(precursor.body, Slider):
+        raise ValueError("animate shows the front of a slider (event='domino'), or the event of a block")
+    if not np.isfinite(float(precursor.length)) or (broken > recorded and of_front):
         raise ValueError(f"this front did not stop within the {recorded} contacts recorded: there is no arrest to show")
     if not (fps > 0 and hold >= 0):
         raise ValueError(f"fps = {fps}, hold = {hold}: fps must be positive, hold 0 or more")
@@ -86,15 +83,16 @@ def animate(
     positions = np.unique(np.linspace(0, broken, min(broken + 1, 150)).round().astype(int))
 
     with style.use(dark=dark, figure__figsize=(5.2, 3.9), figure__dpi=100):
-        if of_block:
-            frames = frames_of(precursor, positions, interface)
-            tall = float(np.clip(4.5 * float(precursor.block.height) / frames.shown, 1, 4))  # true to scale where it fits
+        if not of_front:
+            frames = frames_of(precursor, positions)
+            tall = float(np.clip(4.5 * float(precursor.body.height) / frames.shown, 1, 4))  # true to scale where it fits
             figure, panels = plt.subplots(2, 1, sharex=True, figsize=(5.2, tall + 2.5), height_ratios=(tall, 1.6))
             draw = _scene_of_block(panels, frames)
         else:
             figure, panels = plt.subplots(2, 1, sharex=True)
             shown = min(recorded, max(2 * broken, 16) if sites is None else sites)
-            draw = _scene(panels, jax.vmap(precursor.fields_at)(jnp.asarray(positions)), positions, shown)
+            at = jax.vmap(lambda s: front_fields(precursor.body, precursor.interface, position=s, sites=recorded))
+            draw = _scene(panels, at(jnp.asarray(positions)), positions, shown)
         still = [len(positions) - 1] * round(hold * fps)
         movie = animation.FuncAnimation(figure, draw, frames=[*range(len(positions)), *still], interval=1000 / fps)
         draw(0)

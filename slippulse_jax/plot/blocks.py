@@ -7,8 +7,7 @@ import numpy as np
 
 from slippulse_jax.blocks import event as blocks
 from slippulse_jax.blocks.elements import heights
-from slippulse_jax.blocks.event import BlockPrecursor
-from slippulse_jax.interface import Interface, Profile
+from slippulse_jax.events.first import FirstPrecursor
 from slippulse_jax.plot.labels import DISTANCE, axis_label
 from slippulse_jax.plot.style import axes, colours, drawn
 
@@ -22,7 +21,7 @@ REACH = 2.0
 class Frames(NamedTuple):
     """Stresses of a block after given numbers of breaks."""
 
-    found: BlockPrecursor
+    found: FirstPrecursor
     breaks: np.ndarray
     y: np.ndarray  # heights of the nodes, in λc
     contact: np.ndarray  # stress on the contacts, in σ_s; by breaks and contacts
@@ -31,43 +30,32 @@ class Frames(NamedTuple):
     shown: int  # contacts in sight: those that broke, and half as many again
 
 
-def frames_of(found: BlockPrecursor, breaks: np.ndarray, interface: Interface | Profile | None) -> Frames:
+def frames_of(found: FirstPrecursor, breaks: np.ndarray) -> Frames:
     """Compute the stresses after given numbers of breaks."""
     if np.ndim(found.length):
         raise ValueError("a picture shows one precursor, not a batch")
     last = int(found.breaks)
     if breaks.min() < 0 or breaks.max() > last:
         raise ValueError(f"breaks = {breaks.max() if breaks.max() > last else breaks.min()}: this event has 0 to {last}")
-    every = blocks.stages(found.block, interface, found.stress.size, jnp.asarray(breaks), found.event)
+    every = blocks.stages(found.body, found.interface, found.stress.size, jnp.asarray(breaks), found.event)
     contact, threshold, shear = map(np.asarray, every)
-    # the stiffnesses of rough contacts are those at nucleation until the event is over
-    near = 1e-3 if found.block.contact_law == "amontons" else 0.1
-    if breaks[-1] == last and not np.allclose(contact[-1], found.stress, atol=near):
-        raise ValueError("this is not the event of this interface: give interface= as first_precursor had it")
     furthest = int(np.max(np.nonzero(np.asarray(found.pinning))[0], initial=0)) + 1
-    shown = min(found.stress.size, max(round(1.5 * furthest), round(float(found.block.height))))
-    return Frames(found, breaks, np.asarray(heights(found.block)), contact, threshold, shear, shown)
+    shown = min(found.stress.size, max(round(1.5 * furthest), round(float(found.body.height))))
+    return Frames(found, breaks, np.asarray(heights(found.body)), contact, threshold, shear, shown)
 
 
 @drawn
 def block_stress(
-    found: BlockPrecursor,
-    breaks: int | None = None,
-    *,
-    interface: Interface | Profile | None = None,
-    colorbar: bool = True,
-    ax: "Axes | None" = None,
+    found: FirstPrecursor, breaks: int | None = None, *, colorbar: bool = True, ax: "Axes | None" = None
 ) -> "Axes":
     """Draw the shear stress in a block after some breaks.
 
     Parameters
     ----------
-    found : BlockPrecursor
-        Result of `first_precursor`.
+    found : FirstPrecursor
+        Result of `first_precursor` for a block.
     breaks : int, optional
         Number of breaks, 0 at nucleation; by default all, when the event is over.
-    interface : Interface or Profile, optional
-        As `first_precursor` had it.
     colorbar : bool
         Whether to draw one.
     ax : matplotlib.axes.Axes, optional
@@ -75,11 +63,11 @@ def block_stress(
     Raises
     ------
     ValueError
-        If the event has fewer breaks, or is that of another interface.
+        If the event has fewer breaks.
     """
     ax = axes(ax)
     many = int(found.breaks) if breaks is None else breaks
-    frames = frames_of(found, np.array([many]), interface)
+    frames = frames_of(found, np.array([many]))
     mesh = draw_block(ax, frames, 0)
     ax.set_aspect("equal")
     ax.set_title(f"{many} breaks" if many else "at nucleation")
@@ -91,7 +79,7 @@ def block_stress(
 
 def draw_block(ax: "Axes", frames: Frames, number: int) -> Any:
     """Draw the stress and the pusher; return the coloured cells."""
-    c, block, n = colours(ax), frames.found.block, frames.shown
+    c, block, n = colours(ax), frames.found.body, frames.shown
     height = float(block.height)
     mesh = ax.pcolormesh(
         np.arange(n + 1), frames.y, frames.shear[number, :n].T, cmap="PuOr_r", vmin=-REACH, vmax=REACH, rasterized=True

@@ -11,16 +11,17 @@ from jaxtyping import Array
 
 from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.modes import ChainFields
+from slippulse_jax.events.first import FirstPrecursor
+from slippulse_jax.front.front import front_fields
 from slippulse_jax.interface import Interface
 from slippulse_jax.plot import style
 from slippulse_jax.plot.labels import AGAIN, DISTANCE, axis_label
-from slippulse_jax.precursor import FirstPrecursor, first_precursor, precursor_length
+from slippulse_jax.precursor import first_precursor, precursor_length
 from slippulse_jax.slider import Slider
 
 SITES = 320
 """Contacts computed and shown, the same for every slider and compiled program."""
 
-MOST_CONTACTS = 20_000
 LOW = float(np.log10(0.03)) - 1.5  # so that the paper's 0.03 is a step of the slider
 STEPS = {
     "+1 % height": (0, 0.01, True),
@@ -53,16 +54,20 @@ def view(theta: Array, position: Array) -> View:
         return Slider(x[0], x[1], x[2]), Interface(prestress=x[3], threshold_slope=x[4])
 
     def length(x: Array) -> Array:
-        return precursor_length(*model(x), max_contacts=MOST_CONTACTS)
+        return precursor_length(*model(x))
 
     slider, interface = model(theta)
-    front = first_precursor(slider, interface=interface, recorded_sites=SITES, max_contacts=MOST_CONTACTS)
+    front = first_precursor(slider, interface, sites=SITES)
+
+    def fields_at(position: Array) -> ChainFields:
+        return front_fields(slider, interface, position=position, sites=SITES)
+
     at = jnp.where(position < 0, front.contacts_broken, position)
     sites = jnp.arange(SITES)
     # repinned behind the front
-    again = (jax.vmap(lambda s: front.fields_at(s).stress[0])(sites) >= 1) & (sites > 0)
+    again = (jax.vmap(lambda s: fields_at(s).stress[0])(sites) >= 1) & (sites > 0)
     breaks = again.any() & ((front.status == Outcome.REBREAK) | (front.status == Outcome.RUN_AWAY))
-    return View(front, front.fields_at(at), at, jax.jacfwd(length)(theta), jnp.where(breaks, again.argmax(), -1))
+    return View(front, fields_at(at), at, jax.jacfwd(length)(theta), jnp.where(breaks, again.argmax(), -1))
 
 
 def explore(*, dark: bool = False) -> Any:

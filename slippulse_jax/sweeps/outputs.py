@@ -32,10 +32,8 @@ def _in_bulk(function: Callable[..., Any]) -> Compute:
     """Evaluate a function of sliders and interface."""
 
     def evaluated(request: Request, columns: Columns) -> Columns:
-        options: dict[str, Any] = {"max_contacts": request.max_contacts}
-        if INTERFACE.keys() & columns.keys():
-            options["interface"] = Interface(*_fields(columns, *INTERFACE))
-        return function(Slider(*_fields(columns, *SLIDER), length=request.sites, right=request.right), **options)
+        interface = Interface(*_fields(columns, *INTERFACE)) if INTERFACE.keys() & columns.keys() else None
+        return function(Slider(*_fields(columns, *SLIDER), length=request.sites, right=request.right), interface)
 
     return evaluated
 
@@ -47,20 +45,20 @@ def _fields(columns: Columns, *names: str) -> list[np.ndarray]:
 
 
 @_in_bulk
-def _length(slider: Slider, **options: Any) -> Columns:
-    return {"length": bulk.lengths(slider, **options)}
+def _length(slider: Slider, interface: Interface | None) -> Columns:
+    return {"length": bulk.lengths(slider, interface)}
 
 
 @_in_bulk
-def _front(slider: Slider, **options: Any) -> Columns:
-    found = bulk.arrests(slider, **options)._asdict()
+def _front(slider: Slider, interface: Interface | None) -> Columns:
+    found = bulk.arrests(slider, interface)._asdict()
     del found["length"]  # always from `_length`, whatever the other outputs: two ways may round differently
     return found | {"is_one_domino": found["status"] == Outcome.ARRESTED}
 
 
 @_in_bulk
-def _gradients(slider: Slider, **options: Any) -> Columns:
-    found = bulk.lengths(slider, derivatives=1, **options)
+def _gradients(slider: Slider, interface: Interface | None) -> Columns:
+    found = bulk.lengths(slider, interface, derivatives=1)
     return {
         f"dlength_d{name}": getattr(owner, name)
         for owner, names in ((found.slider, SLIDER), (found.interface, INTERFACE))
@@ -76,7 +74,7 @@ def _exact(_: Request, columns: Columns) -> Columns:
 
 def _smooth(request: Request, columns: Columns) -> np.ndarray:
     slider = Slider(*_fields(columns, *SLIDER))
-    return bulk.lengths(slider, rule=SmoothBreak(columns["width"]), max_contacts=request.max_contacts)
+    return bulk.lengths(slider, rule=SmoothBreak(columns["width"]))
 
 
 def _block(request: Request, columns: Columns) -> np.ndarray:

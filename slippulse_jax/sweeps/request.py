@@ -25,7 +25,7 @@ from slippulse_jax.base.files import plain
 from slippulse_jax.base.units import Quantity, quantities
 from slippulse_jax.block import OF_SIDE, Block, ContactLaw, Control, Push, Top, has_push
 from slippulse_jax.bodies.modes import RightEnd
-from slippulse_jax.front.arrest import DEFAULT_MAX_CONTACTS
+from slippulse_jax.front.arrest import MOST_BREAKS
 from slippulse_jax.interface import Interface, check_bulk
 from slippulse_jax.rules import WIDTH, SmoothBreak
 from slippulse_jax.slider import Slider
@@ -73,7 +73,6 @@ class Request(NamedTuple):
     outputs: tuple[str, ...]
     right: RightEnd = "semi-infinite"
     sites: int | None = None
-    max_contacts: int = DEFAULT_MAX_CONTACTS
     push_control: Control = "displacement"
     contact_law: ContactLaw = "amontons"
     top: Top = "free"
@@ -99,7 +98,7 @@ class Request(NamedTuple):
             "outputs": list(self.outputs),
             "right": self.right,
             "sites": plain(self.sites),
-            "max_contacts": plain(self.max_contacts),
+            "max_contacts": MOST_BREAKS,
             **({"push_control": self.push_control} if "push_height" in self.axes else {}),
             **({"contact_law": self.contact_law} if self.contact_law != "amontons" else {}),
             **({"top": self.top} if self.top != "free" else {}),

@@ -17,7 +17,6 @@ from slippulse_jax.base.choices import RightEnd
 from slippulse_jax.base.files import shortened
 from slippulse_jax.block import ContactLaw, Control, Top
 from slippulse_jax.bulk.chunks import in_this_thread
-from slippulse_jax.front.arrest import DEFAULT_MAX_CONTACTS, check_max_contacts
 from slippulse_jax.interface import Interface
 from slippulse_jax.slider import Slider
 from slippulse_jax.sweeps.dataset import labelled, processor
@@ -67,7 +66,6 @@ def sweep(
     outputs: str | tuple[str, ...] | list[str] = ("length", "status"),
     right: RightEnd = "semi-infinite",
     sites: int | None = None,
-    max_contacts: int = DEFAULT_MAX_CONTACTS,
     store: str | os.PathLike[str] | None = None,
     resume: bool = True,
     chunk: int | None = None,
@@ -102,7 +100,7 @@ def sweep(
         Take the arrays together, as points, instead of every combination.
     outputs : str or sequence of str
         Names of `slippulse_jax.sweeps.outputs.OUTPUTS`, or "gradients", "theory", "validity".
-    right, sites, max_contacts
+    right, sites
         As for `precursor_length`.
     store : path or str, optional
         Folder to write the result to as it is computed, in constant memory, as a Zarr group; or any address that fsspec knows,
@@ -152,8 +150,7 @@ def sweep(
     given = {name: value for name, value in every.items() if name in PARAMETERS}
     axes = make_axes(given, interface, points=points, push_control=push_control, contact_law=contact_law, top=top)
     right = Slider(2, 1, 0, length=sites, right=None if right == "semi-infinite" else right).right  # which checks it
-    check_max_contacts(max_contacts)
-    request = Request(axes, choose(outputs, map(str, axes.coords)), right, sites, max_contacts, push_control, contact_law, top)
+    request = Request(axes, choose(outputs, map(str, axes.coords)), right, sites, push_control, contact_law, top)
     _check_options(request, store, chunk, share, client, lazy)
     most = chunk or default_chunk(request, tasks=lazy or (client is not None and store is None))
     most = min(most, -(-math.prod(request.shape) // share[1])) if share and not chunk else most  # one for every process

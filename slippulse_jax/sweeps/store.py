@@ -22,6 +22,7 @@ from zarr.codecs import BytesCodec, Crc32cCodec
 from zarr.storage import FsspecStore, LocalStore, MemoryStore
 
 from slippulse_jax.base.files import plain, shortened, write_atomically
+from slippulse_jax.front.arrest import MOST_BREAKS
 from slippulse_jax.sweeps.dataset import about_output, computed_by, labelled
 from slippulse_jax.sweeps.outputs import OUTPUTS
 from slippulse_jax.sweeps.request import Columns, Region, Request, chunk_shape, labelled_axes, regions
@@ -137,6 +138,8 @@ def _request_of(found: xr.Dataset) -> Request:
     described = json.loads(found.attrs["request"])
     values = {name: found[name].values for name in described.pop("parameters")}
     axes = labelled_axes(values, points=described.pop("combined") != "product")
+    if (most := described.pop("max_contacts")) != MOST_BREAKS:
+        raise ValueError(f"max_contacts = {most}: fronts are given up after {MOST_BREAKS} breaks")
     return Request(axes, tuple(described.pop("outputs")), **described)
 
 

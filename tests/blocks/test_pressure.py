@@ -42,7 +42,7 @@ def test_random_blocks_with_friction_break_in_the_same_order(blocks):
                 dense.push, dense.matrix, event == "domino", relief * dense.push_across, relief * dense.across
             )
             record = sp.first_precursor(block, event=event)
-            assert (int(record.breaks), int(record.nucleation)) == (len(order), order[0])
+            assert (int(record.breaks), int(record.first)) == (len(order), order[0])
             np.testing.assert_allclose(record.stress, stress, rtol=0, atol=1e-8)
             np.testing.assert_allclose(record.pressure, pressure, rtol=0, atol=1e-8)
             assert (int(record.status) == Outcome.LIFT_OFF) == (min(pressure.min(), record.pressure_before.min()) < 0)
@@ -164,7 +164,7 @@ def test_values_of_a_separate_program():
     for height, push, friction, length, first, share, edge, most in TABLE:
         found = sp.first_precursor(pressed(height, 0.3, push, friction), event="full")
         assert length * 0.999 <= float(found.length) / height <= length * 1.02  # two elements per contact: short
-        assert int(found.nucleation) == first
+        assert int(found.first) == first
         pressure = found.pressure_before
         np.testing.assert_allclose([found.stress_before.mean(), pressure[0], pressure.max()], [share, edge, most], rtol=0.01)
     assert np.isinf(sp.precursor_length(pressed(48, 0.3, sp.Push(0.25), 0.0), event="full"))

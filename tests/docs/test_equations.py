@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import slippulse_jax as sp
+from slippulse_jax.front.front import front_fields
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
@@ -80,7 +81,7 @@ def test_dimensionless_numbers_of_the_appendix():
 def test_lattice_is_in_balance_with_the_stresses_of_the_paper():
     """Labels discr1, discr2, cra06, cra07: of the first precursor at arrest, site by site."""
     slider = sp.Slider(25.0, 0.03, 0.3)
-    fields = sp.first_precursor(slider).arrest
+    fields = front_fields(slider, position=sp.first_precursor(slider).contacts_broken, sites=100)
     ut, u, ub = (np.asarray(x) for x in (fields.upper, fields.layer, fields.pinning))
     bend = lambda x: x[2:] + x[:-2] - 2 * x[1:-1]  # noqa: E731
     KL, KT, k = float(slider.K_L), float(slider.K_T), float(slider.stiffness)

@@ -146,7 +146,7 @@ def first_precursor(slider_fields):
 def test_uniform_chain_of_2000_sites_gives_the_count_and_length_of_the_recursion(height, stiffness, count, load):
     numbers = tuple(map(jnp.asarray, (height, stiffness, 0.3)))
     found, site = first_precursor(numbers)
-    fast = arrest(sp.Slider(*numbers), max_contacts=10_000)
+    fast = arrest(sp.Slider(*numbers), most=10_000)
     assert site == 0
     assert found.status == Outcome.ARRESTED
     assert found.extent == found.breaks == fast.contacts_broken == count

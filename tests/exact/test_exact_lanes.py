@@ -114,7 +114,7 @@ def test_beside_the_runaway_prestress_whole_contacts_are_those_of_the_recursion(
     """Wrong numbers called arrested were found here, 43 of 96 679; a front the recursion gives up has no whole count to compare."""
     lanes = near_runaway(count, 81)
     length, status = exact_lanes.exact_fronts(lanes)
-    found = arrests_of(sp.Slider(*lanes[:3]), sp.Interface(*lanes[3:]), max_contacts=100_000)
+    found = arrests_of(sp.Slider(*lanes[:3]), sp.Interface(*lanes[3:]), most=100_000)
     stopped = np.isfinite(found.length)
     followed = found.status != Outcome.LIMIT
     assert followed.mean() > 0.8

@@ -11,6 +11,7 @@ import slippulse_jax as sp
 from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.events.series import Spring
+from slippulse_jax.front.front import front_fields
 from slippulse_jax.lengths import arrests
 
 MACHINES = (0.1, 1.0, 10.0, 1e3)
@@ -86,9 +87,10 @@ def test_fields_under_a_drive_are_those_of_the_chain_with_that_spring():
     sites, machine = 60, 10.0
     with jax.enable_x64(True):
         front = sp.first_precursor(ended(FIG2, sites, "clamped", machine=machine))
-        assert front.arrest.layer.shape == (sites,)
+        assert front.stress.shape == (sites,)
+        every = [front_fields(front.body, position=s, sites=sites) for s in (0, front.contacts_broken)]
     dense = dense_chain.DenseChain.uniform((25.0, 0.03, 0.3), np.ones(sites), 0.0, "clamped", spring=machine)
-    for fields in (front.nucleation, front.arrest):
+    for fields in every:
         upper, layer = dense.at(np.asarray(fields.pinning), float(front.load)).fields()
         np.testing.assert_allclose(fields.upper, upper, atol=1e-10)
         np.testing.assert_allclose(fields.layer, layer, atol=1e-10)

@@ -12,7 +12,7 @@ from oracles import dense_chain
 from oracles.lattice_mp import Chain
 from problems import PAPER, REFERENCE
 
-from slippulse_jax import Slider, first_precursor, precursor, precursor_length, precursor_lengths
+from slippulse_jax import Slider, SmoothBreak, first_precursor, precursor, precursor_length, precursor_lengths
 from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.modes import FARTHEST, lattice_modes
 from slippulse_jax.exact.front import exact_front_stress, exact_length
@@ -122,17 +122,23 @@ def test_no_domino():
 @pytest.mark.ci
 def test_cap_on_breaks_reports_itself():
     slider = Slider(25, 0.03, 0.3)
-    with pytest.raises(FrontNotArrested, match="max_contacts = 25"):
-        precursor_length(slider, max_contacts=25)
-    assert float(precursor_length(slider, max_contacts=26)) == float(precursor_length(slider))
-    with pytest.raises(FrontNotArrested, match="max_contacts = 25"):
-        first_precursor(slider, max_contacts=25)
-    capped = first_precursor(slider, max_contacts=25, recorded_sites=100)
-    assert int(capped.status) == Outcome.LIMIT
-    assert np.isnan(capped.length)
-    assert np.isnan(jax.jit(lambda h: precursor_length(Slider(h, 0.03, 0.3), max_contacts=25))(25.0))
-    with pytest.warns(RuntimeWarning, match=r"1 of 2 fronts, the first at index \(1,\)"):
-        lengths = precursor_length(Slider([10.0, 25.0], 0.03, 0.3), max_contacts=25)
+    assert float(arrest(slider, most=26).length) == float(precursor_length(slider))
+    assert int(arrest(slider, most=25).status) == Outcome.LIMIT
+    with pytest.raises(FrontNotArrested, match="given up.*: 10000000"):
+        precursor_length(Slider(1e8, 1e-6, 0.3))
+
+
+@pytest.mark.slow
+def test_every_door_gives_a_front_up():
+    tall = Slider(1e8, 1e-6, 0.3)
+    with pytest.raises(FrontNotArrested, match="given up.*: 10000000"):
+        first_precursor(tall)
+    with pytest.raises(FrontNotArrested, match="given up.*: 10000000"):
+        precursor_length(tall, rule=SmoothBreak(0.01))
+    assert int(first_precursor(tall, sites=100).status) == Outcome.LIMIT
+    assert np.isnan(jax.jit(lambda h: precursor_length(Slider(h, 1e-6, 0.3)))(1e8))
+    with pytest.warns(RuntimeWarning, match=r"1 of 2 fronts, the first at index \(1,\).*given up.*: 10000000"):
+        lengths = precursor_lengths(Slider([10.0, 1e8], [0.03, 1e-6], 0.3))
     assert np.isfinite(lengths[0])
     assert np.isnan(lengths[1])
 
@@ -171,7 +177,7 @@ def by_series(chain):
 @pytest.mark.ci
 def test_tall_slider_in_extended_precision():
     """H/λc = 75 000, b = 1: value and gradient in k/K to eleven digits."""
-    ended = arrest(Slider(*TALL), max_contacts=10**6)
+    ended = arrest(Slider(*TALL), most=10**6)
     assert int(ended.contacts_broken) == 54195
     value, slope = jax.value_and_grad(lambda k: precursor_length(Slider(TALL[0], k, TALL[2])))(TALL[1])
     expected, expected_slope = digits_of_tall_slider(by_series)

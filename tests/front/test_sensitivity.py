@@ -42,7 +42,7 @@ def test_every_contact_against_differences(rule):
 
 
 def test_length_is_that_of_recursion_surrogate_and_cascade():
-    line = arrest(FIG2, sp.Profile(np.ones(1)), max_contacts=1000).length  # which the sensitivity ends on
+    line = arrest(FIG2, sp.Profile(np.ones(1)), most=1000).length  # which the sensitivity ends on
     np.testing.assert_allclose(sensitivity(FIG2, sites=SITES).length, line, rtol=1e-12)
     rule = SmoothBreak(width=0.02)
     found = sensitivity(FIG2, sites=SITES, rule=rule)

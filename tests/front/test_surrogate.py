@@ -13,7 +13,7 @@ from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.chain import chain
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.events.rupture import nucleate, rupture
-from slippulse_jax.front.arrest import DEFAULT_MAX_CONTACTS, FrontNotArrested, arrest, quantity
+from slippulse_jax.front.arrest import arrest, quantity
 from slippulse_jax.front.front import runaway_prestress
 from slippulse_jax.rules import SmoothBreak
 
@@ -21,7 +21,7 @@ from slippulse_jax.rules import SmoothBreak
 @jax.jit
 def length(height, stiffness, poisson, width):
     slider = sp.Slider(height=height, stiffness=stiffness, poisson=poisson)
-    given = (slider, None, DEFAULT_MAX_CONTACTS, SmoothBreak(width=width))
+    given = (slider, None, SmoothBreak(width=width))
     return quantity("length", *given), quantity("status", *given)
 
 
@@ -32,7 +32,7 @@ STOPPED = [Outcome.ARRESTED, Outcome.NO_DOMINO, Outcome.REBREAK]
 def hard(height, stiffness, poisson):
     """ℓ on a straight line, to which a smooth rule tends as it gets narrower; that of a profile."""
     even = sp.Profile(jnp.ones(1))
-    return jax.vmap(lambda *x: arrest(sp.Slider(*x), even, max_contacts=10_000).length)(height, stiffness, poisson)
+    return jax.vmap(lambda *x: arrest(sp.Slider(*x), even, most=10_000).length)(height, stiffness, poisson)
 
 
 @jax.jit
@@ -211,10 +211,6 @@ def test_broadcasting_and_statuses():
     found = sp.precursor_length(slider, rule=rule)
     assert found.shape == (2, 3)
     np.testing.assert_allclose(found[1, 0], length(25.0, 0.03, 0.3, 0.01)[0], rtol=1e-13)
-    with pytest.warns(RuntimeWarning, match="6 of 6 fronts.*max_contacts = 5"):
-        assert np.isnan(sp.precursor_length(slider, rule=rule, max_contacts=5)).all()
-    with pytest.raises(FrontNotArrested, match="max_contacts = 5"):
-        sp.precursor_length(sp.Slider(25.0, 0.03, 0.3), rule=rule, max_contacts=5)
     found, status = length(-1.0, 0.03, 0.3, 0.01)
     assert status == Outcome.INVALID
     assert np.isnan(found)

@@ -20,7 +20,7 @@ def shown():
     return {
         "Slider(height=25, stiffness=0.03, poisson=0.3)": SLIDER,
         "Block(height=20, stiffness=0.01, poisson=0.3, push=Push(height=0.25))": sp.Block(20.0, 0.01, 0.3, sp.Push(0.25)),
-        "FirstPrecursor(slider=Slider(height=25, stiffness=0.03, poisson=0.3), contacts_broken=26, length=25.78": sp.first_precursor(SLIDER),
+        "FirstPrecursor(body=Slider(height=25, stiffness=0.03, poisson=0.3), contacts_broken=26, length=25.78": sp.first_precursor(SLIDER),
         "Catalogue(number=3, load=[3, 3.5, 4], length=[7.10": sp.series(sp.chain(sp.Slider(5.0, 0.1, 0.3), sites=30), sp.Steps(0.5), events=3),
         "Measurements(3 of measurements: heights [20, 40, 60] λc, lengths [15, 33.5, 52] λc)": lengths,
         "FitResult(IDENTIFIED: stiffness = ": result,
@@ -45,7 +45,7 @@ def test_batches_and_traced_values():
     assert repr(sp.Slider([[10.0], [25.0]], 0.03, 0.3)) == "Slider(height=[[10], [25]], stiffness=0.03, poisson=0.3)"
     assert "<100 from 10 to 60>" in repr(sp.Slider(np.linspace(10, 60, 100), 0.03, 0.3))
     assert short(np.array([1.0, np.nan])) == "[1, nan]"
-    many = jax.vmap(lambda height: sp.first_precursor(sp.Slider(height, 0.03, 0.3), recorded_sites=64))(
+    many = jax.vmap(lambda height: sp.first_precursor(sp.Slider(height, 0.03, 0.3), sites=64))(
         np.array([10.0, 25.0], np.float32)
     )
     assert "contacts_broken=[10, 26]" in repr(many)

@@ -42,8 +42,6 @@ def test_pictures(found):
             assert ax.get_title() == ("at nucleation" if breaks == 0 else f"{int(found.breaks)} breaks")
         with pytest.raises(ValueError, match="breaks = 999: this event has 0 to"):
             sp.plot.block_stress(found, 999)
-        with pytest.raises(ValueError, match="not the event of this interface"):
-            sp.plot.block_stress(found, interface=sp.Interface(prestress=0.2))
 
 
 @pytest.mark.slow

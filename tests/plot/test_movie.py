@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 import slippulse_jax as sp
-from slippulse_jax.precursor import FirstPrecursor
+from slippulse_jax.events.first import FirstPrecursor
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def test_gif_has_a_frame_for_every_break(front, tmp_path):
     assert list(tmp_path.iterdir()) == [path]
     above, below = movie._fig.axes
     stress = below.lines[2].get_ydata()
-    np.testing.assert_allclose(stress, front.arrest.stress[: len(stress)], atol=1e-12)
+    np.testing.assert_allclose(stress, front.stress[: len(stress)], atol=1e-12)
     assert f"contacts broken: {broken}, it stops" in below.texts[0].get_text()
     assert "u_s" in above.get_ylabel()
 
@@ -50,9 +50,7 @@ def test_html_and_notebooks(front, tmp_path):
 def test_refusals(front, tmp_path):
     with pytest.raises(ValueError, match=r"front\.avi: an animation is written as \.gif"):
         sp.plot.animate(front, tmp_path / "front.avi")
-    run_away = sp.first_precursor(
-        sp.Slider(10.0, 0.03, 0.3), interface=sp.Interface(prestress=0.9), recorded_sites=20, max_contacts=20
-    )
+    run_away = sp.first_precursor(sp.Slider(10.0, 0.03, 0.3), interface=sp.Interface(prestress=0.9), sites=4000)
     with pytest.raises(ValueError, match="did not stop"):
         sp.plot.animate(run_away)
     with pytest.raises(ValueError, match="fps = 0"):

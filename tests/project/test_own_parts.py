@@ -1,5 +1,7 @@
 """What a stranger adds in one file, and no other: a body, a model of a length, a column. A rule is in `front/test_own_rule`."""
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -117,6 +119,9 @@ def test_a_body_made_of_the_contacts_of_another(body, sites):
     np.testing.assert_allclose(jax.jit(own)(at), other(at), rtol=1e-11)
     np.testing.assert_allclose(jax.grad(own)(at), jax.grad(other)(at), rtol=1e-8)
     found = sp.series(body, events=3, sites=sites)
+    record, its = (sp.first_precursor(x, sites=sites, event="full") for x in (body, body.of))
+    for name in ("contacts_broken", "length", "load", "stress", "slip"):
+        np.testing.assert_allclose(getattr(record, name), getattr(its, name), rtol=1e-11, atol=1e-12, err_msg=name)
     of = body.of if isinstance(body.of, sp.Block) else sp.chain(body.of, sites=sites)
     expected = sp.series(of, events=3, **({"sites": sites} if isinstance(of, sp.Block) else {}))
     for name in ("load", "force_after", "length", "site", "breaks", "stored"):
@@ -139,10 +144,9 @@ def test_what_breaks_do_to_a_long_chain_is_refused_with_its_memory():
 
 
 def test_what_has_no_contacts_is_no_body():
-    with pytest.raises(TypeError, match="slider"):
-        sp.precursor_length(3.0, sites=10)
-    with pytest.raises(TypeError, match="body"):
-        sp.series(sp.Slider(25.0, 0.03, 0.3), sites=10, events=1)
+    for door in (sp.precursor_length, sp.first_precursor, functools.partial(sp.series, events=1)):
+        with pytest.raises(TypeError, match="body is float: must be Slider or Block"):
+            door(3.0, sites=10)
     with pytest.raises(ValueError, match="sites = None"):
         sp.precursor_length(two_rows(sp.Slider(25.0, 0.03, 0.3)))
 

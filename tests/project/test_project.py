@@ -261,7 +261,7 @@ def test_quantities_are_computed_where_the_table_says():
 
 PATHS = {  # a call, the function whose body holds the line, and the most frames of the package from the one to the other
     "precursor_length": (
-        lambda: sp.precursor_length(sp.Slider(np.full(3, 25.0), 0.03, 0.3), max_contacts=4321),  # traced for no other test
+        lambda: sp.precursor_length(sp.Slider(np.full(37, 25.0), 0.03, 0.3)),  # traced for no other test
         "end_of_front",
         7,
     ),

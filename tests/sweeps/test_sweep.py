@@ -30,7 +30,7 @@ def test_values_are_those_of_the_functions_point_by_point():
     for h in found.height.values:
         for q in found.stiffness.values:
             point, slider = found.sel(height=h, stiffness=q), sp.Slider(h, q, 0.3)
-            front = sp.first_precursor(slider, recorded_sites=60)
+            front = sp.first_precursor(slider, sites=60)
             assert float(point.length) == pytest.approx(float(front.length), abs=1e-10)
             assert int(point.contacts_broken) == int(front.contacts_broken)
             assert int(point.status) == int(front.status)
@@ -198,7 +198,7 @@ def test_request_of_a_hundred_million_points_is_small():
         "stiffness": np.geomspace(1e-3, 0.03, 1000),
         "poisson": np.linspace(0.1, 0.45, 100),
     }
-    request = Request(make_axes(given), ("length",), max_contacts=100)
+    request = Request(make_axes(given), ("length",))
     assert math.prod(request.shape) == 10**8
     columns = request.columns((slice(987, 988), slice(653, 655), slice(30, 33)))
     np.testing.assert_array_equal(columns["poisson"], np.tile(given["poisson"][30:33], 2))

@@ -27,7 +27,7 @@ from slippulse_jax.bulk.derivatives import without_derivative
 from slippulse_jax.exact import crack
 from slippulse_jax.exact.bulk import NEVER, exact_fronts
 from slippulse_jax.exact.crossing import expected_length
-from slippulse_jax.front.arrest import DEFAULT_MAX_CONTACTS, arrest
+from slippulse_jax.front.arrest import MOST_BREAKS, arrest
 from slippulse_jax.front.front import APPROACH, readings
 from slippulse_jax.front.lanes import STIFFEST as STIFFEST_RUN_BACK
 from slippulse_jax.front.lanes import jet_kernel
@@ -365,7 +365,7 @@ class FirstFront(Front):
         if far.any():
             return reach if np.isinf(reach).all() else self.in_closed_form(inputs)
         most = self.most(inputs.log_height, inputs.names)[0]
-        return self.within_reach(inputs, bulk_lengths(*recursion_inputs(inputs, is_relaxed(inputs)), max_contacts=most), most)
+        return self.within_reach(inputs, bulk_lengths(*recursion_inputs(inputs, is_relaxed(inputs)), most=most), most)
 
     def in_closed_form(self, inputs: Inputs) -> np.ndarray:
         """ℓ* of fronts without end; NotConverged names one that has none."""
@@ -400,7 +400,7 @@ class FirstFront(Front):
     def most(log_height: np.ndarray, names: tuple[str, ...]) -> tuple[int, RightEnd]:
         """Contacts after which a front never stops; and the right end."""
         if not set(ENDED) & set(names):
-            return DEFAULT_MAX_CONTACTS, "semi-infinite"
+            return MOST_BREAKS, "semi-infinite"
         return int(2 ** np.ceil(np.log2(np.maximum(FARTHEST * np.exp(log_height), AT_LEAST))).max()), "free"
 
     @staticmethod
