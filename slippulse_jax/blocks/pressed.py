@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Int
 
 from slippulse_jax.blocks.guide import Guide, compliance, held_by_all, inverse
 from slippulse_jax.bodies.response import Response, of_matrix
-from slippulse_jax.events.event import rises
+from slippulse_jax.events.event import first_to_break, rises
 
 BALANCE_STEPS = 100
 """Most steps of Newton's method; ten to twenty are usual."""
@@ -88,9 +88,8 @@ class Pressed(NamedTuple):
             short = (at(z)[3] - along * z).at[:sites].add(-across * z[sites:])
             still, moved = solve @ (self.matrix @ short), solve @ self.push
             per_load = moved[:sites]
-            needed = rises(per_load[None], threshold, (still[:sites] + load * per_load - free)[None])
-            first = jnp.argmin(needed)
-            at_load = load + jnp.where(jnp.isfinite(needed[first]), jnp.maximum(needed[first], 0), 0)
+            first, rise = first_to_break(per_load[None], threshold, (still[:sites] + load * per_load - free)[None], rises)
+            at_load = load + jnp.where(jnp.isfinite(rise), jnp.maximum(rise, 0), 0)
             return still + at_load * moved, at_load, first
 
         def far(state: tuple[Array, Array, Array]) -> Array:

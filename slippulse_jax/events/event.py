@@ -8,6 +8,7 @@ A contact may repin some breaks after it broke. Until then it is detached and ca
 layer. Each break therefore moves the pinning points of all detached contacts such that their stress stays zero.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -224,3 +225,18 @@ def rises(push: Float[Array, "r N"], threshold: Float[Array, " N"], readings: Fl
         gains, short = push[0] - weak * push[1], weak * readings[1] - readings[0]
     rising = there & (gains > 0)
     return jnp.where(rising, short / jnp.where(rising, gains, 1), jnp.inf)
+
+
+def first_to_break(
+    push: Float[Array, "r N"],
+    threshold: Float[Array, " N"],
+    readings: Float[Array, "r N"],
+    rises: Callable[..., Float[Array, " N"]] = rises,
+) -> tuple[Int[Array, ""], Float[Array, ""]]:
+    """Contact that a growing load brings to its threshold first, and that rise.
+
+    The first of equals; inf where none gets there. `rises` tells the rise of the load for each.
+    """
+    needed = rises(push, threshold, readings)
+    site = jnp.argmin(needed).astype(jnp.int32)
+    return site, needed[site]

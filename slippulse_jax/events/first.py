@@ -25,7 +25,7 @@ from slippulse_jax.bodies.equilibrium import all_numbers
 from slippulse_jax.bodies.modes import FARTHEST
 from slippulse_jax.bodies.response import Response, of_chain
 from slippulse_jax.bulk.derivatives import by_forward_mode, with_gradient, with_jacobian
-from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, Event, event, overload, rises
+from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, Event, event, first_to_break, overload
 from slippulse_jax.front.front import FADED, Front, follow
 from slippulse_jax.interface import AnyInterface
 from slippulse_jax.rules import BreakRule
@@ -168,10 +168,9 @@ def nucleated(body: Relaxed) -> Nucleation:
     if body.pressed is not None:
         found = body.pressed.balance(threshold, prestress, 0 * prestress, 0 * prestress[0])
         return Nucleation(found.first, found.load, found.stretch[None], body.pressed.frozen(found), found.pressure)
-    needed = rises(response.push, threshold, body.readings)
-    first = jnp.argmin(needed)
-    readings = body.readings + needed[first] * response.push
-    return Nucleation(first, needed[first], readings, response, readings[1] if len(readings) > 1 else None)
+    first, load = first_to_break(response.push, threshold, body.readings)
+    readings = body.readings + load * response.push
+    return Nucleation(first, load, readings, response, readings[1] if len(readings) > 1 else None)
 
 
 def first_event(

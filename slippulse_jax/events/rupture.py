@@ -31,7 +31,7 @@ from slippulse_jax.bodies.chain import Chain, Springs, State, check_linear, elim
 from slippulse_jax.bodies.equilibrium import Equilibrium, all_numbers, equilibrium, in_balance, or_harmless
 from slippulse_jax.bodies.response import Response, propagators, with_response
 from slippulse_jax.bulk.derivatives import without_derivative
-from slippulse_jax.events.event import BREAKS_PER_SITE, event, most, rises
+from slippulse_jax.events.event import BREAKS_PER_SITE, event, first_to_break, most
 from slippulse_jax.events.first import ROUNDING, alike
 from slippulse_jax.rules import BreakRule, check_rule
 
@@ -176,9 +176,8 @@ def _nucleate(chain: Chain, state: State) -> tuple[State, Int[Array, ""]]:
     now = equilibrium(chain, state).stress
     push = equilibrium(chain, State(state.pinning, state.load + 1)).stress - now
     threshold = jnp.where(chain.contact > 0, chain.threshold, jnp.inf)
-    needed = rises(push[None], threshold, now[None])
-    site = jnp.argmin(needed).astype(jnp.int32)
-    rise = jnp.where((now >= threshold).any(), 0, needed[site])
+    site, rise = first_to_break(push[None], threshold, now[None])
+    rise = jnp.where((now >= threshold).any(), 0, rise)
     return State(state.pinning, state.load + rise), jnp.where((rise == 0) | jnp.isinf(rise), -1, site)
 
 

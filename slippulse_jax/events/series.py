@@ -35,7 +35,7 @@ from slippulse_jax.bulk.derivatives import without_derivative
 from slippulse_jax.bulk.double import in_double
 from slippulse_jax.events.ageing import Ageing, next_crossing
 from slippulse_jax.events.catalogue import COLUMNS, Catalogue, EventClass
-from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, event, most, overload, rises
+from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, event, first_to_break, most, overload, rises
 from slippulse_jax.events.first import Relaxed, contacts_of_chain
 from slippulse_jax.interface import AnyInterface, Interface, Profile
 from slippulse_jax.slider import Slider
@@ -306,9 +306,9 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
         readings, response, per_stretch = at.stretch[None], body.pressed.frozen(at), at.pressure
         force_before = body.pressed.edge_stiffness * load - k * body.pressed.push @ at.force
     else:
-        site, least = most(-reach(response.push, threshold, now.readings))
-        begins = jnp.isfinite(least)
-        rise, trigger = _stepped(loading.protocol, jnp.maximum(-least, 0), site, begins)
+        site, rise = first_to_break(response.push, threshold, now.readings, reach)
+        begins = jnp.isfinite(rise)
+        rise, trigger = _stepped(loading.protocol, jnp.maximum(rise, 0), site, begins)
         load, force_before, per_stretch = now.load + rise, now.force + response.edge_stiffness * rise, 1.0
         readings = now.readings + response.push * rise
     threshold = aged(load)

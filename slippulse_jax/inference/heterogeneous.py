@@ -26,7 +26,7 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from slippulse_jax.bodies.modes import lattice_modes
-from slippulse_jax.events.event import rises
+from slippulse_jax.events.event import first_to_break
 from slippulse_jax.events.first import first_event
 from slippulse_jax.front.front import end_of_front, sweep
 from slippulse_jax.inference.table.measurements import MeasurementError, Measurements
@@ -160,9 +160,9 @@ def _front(height: Array, stiffness: Array, poisson: Array, theta: Array, phi: A
     """ℓ or NaN, the contact that sets the load, and all t."""
     modes = lattice_modes(Slider(height, stiffness, poisson))
     site = jnp.arange(theta.size)
-    needed = rises((jax.vmap(modes.profile)(site.astype(theta.dtype)) @ modes.drive)[None], theta, phi[None])
-    first = jnp.argmin(needed)
-    stress = sweep(modes, needed[first] + phi[0], phi)
+    push = jax.vmap(modes.profile)(site.astype(theta.dtype)) @ modes.drive
+    first, load = first_to_break(push[None], theta, phi[None])
+    stress = sweep(modes, load + phi[0], phi)
     excess = stress - theta
     holds = (excess < 0) & (site > first)  # contacts up to the one that breaks first have broken by then
     s0 = jnp.argmax(holds)
