@@ -4,7 +4,7 @@ NumPy in and out, double precision, every lane by itself.
 """
 
 import functools
-from typing import Any, Literal, TypedDict, Unpack, overload
+from typing import Any, Literal, overload
 
 import jax
 import jax.numpy as jnp
@@ -46,20 +46,23 @@ FEW_SITES = 64
 """Smallest number of sites resolved of a slider. The largest is `MOST_SITES`; longer events are followed on larger contacts."""
 
 
-class Options(TypedDict, total=False):
-    """Options of `precursor_lengths` on which the type of its result does not depend."""
-
-    rule: BreakRule | None
-    event: EventKind
-
-
 @overload
 def precursor_lengths(
-    slider: Slider, interface: Interface | None = None, *, derivatives: Literal[0] = 0, **options: Unpack[Options]
+    slider: Slider,
+    interface: Interface | None = None,
+    *,
+    rule: BreakRule | None = None,
+    event: EventKind = "domino",
+    derivatives: Literal[0] = 0,
 ) -> np.ndarray: ...
 @overload
 def precursor_lengths(
-    slider: Slider, interface: Interface | None = None, *, derivatives: Literal[1], **options: Unpack[Options]
+    slider: Slider,
+    interface: Interface | None = None,
+    *,
+    rule: BreakRule | None = None,
+    event: EventKind = "domino",
+    derivatives: Literal[1],
 ) -> LengthDerivatives: ...
 def precursor_lengths(
     slider: Slider,

@@ -217,13 +217,14 @@ def _of_front(slider: Slider, interface: AnyInterface, broken: Array, sites: int
     before, after = (front.front_fields(slider, interface, position=s, sites=sites) for s in (0 * broken, broken))
     modes = lattice_modes(slider)
     threshold, prestress = front.contact_at(modes, interface, 0)
+    stress = front.front_stress(modes, sites, interface)
     return {
         "load": modes.load * (threshold - prestress),
         "stress_before": before.stress,
         "stress": after.stress,
         "slip": after.layer - before.layer,
-        "pinning": after.pinning,
-        "front_stress": front.front_stress(modes, sites, interface),
+        "pinning": jnp.where(jnp.arange(sites) < broken, stress, 0),
+        "front_stress": stress,
     }
 
 

@@ -343,7 +343,7 @@ def _power(T: Float[Array, "n n"], exponent: Int[Array, ""]) -> Float[Array, "n 
     return lax.scan(next_bit, (T, jnp.eye(len(T), dtype=T.dtype)), every)[0][1]
 
 
-def readings(guide: Guide, sites: int) -> Float[Array, "N r n"]:
+def contact_readings(guide: Guide, sites: int) -> Float[Array, "N r n"]:
     """q_0 … q_{N−1} of the uniform guide, which begins at column 1."""
     slab, T = guide.slab, guide.transfer
     first = slab.reading_left + slab.reading_right @ T
@@ -373,7 +373,7 @@ def compliance(
     A, of shape (sites, sources, read, sites), is the reading per force, that of the source first; t the reading per load. With
     so many of the readings, and of those along which forces act. On one that ends, `sites` cover all; both are 0 beyond.
     """
-    slab, q = guide.slab, readings(guide, sites)[:, :read]
+    slab, q = guide.slab, contact_readings(guide, sites)[:, :read]
     none = jnp.zeros_like(q[:1])
     behind, ahead = jnp.concatenate([none, q[:-1]]), jnp.concatenate([none, q[1:]])
 

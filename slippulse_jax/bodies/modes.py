@@ -27,7 +27,7 @@ from jaxtyping import Array, Float
 
 from slippulse_jax.base.choices import RightEnd
 from slippulse_jax.bulk.compiler import in_full
-from slippulse_jax.slider import Slider, of_one_type
+from slippulse_jax.slider import Fields, Slider, of_one_type
 
 Number = Float[Array, "..."]
 Pair = tuple[Number, Number]
@@ -182,28 +182,14 @@ def _(primals: tuple[Number], tangents: tuple[Number]) -> tuple[Pair, Pair]:  # 
     return (root, over), (slope, -over * over * slope)
 
 
-class ChainFields(eqx.Module):
-    """Displacements and pinning points along a chain, in u_s = f_s/k."""
-
-    upper: Float[Array, " sites"]  # u_t
-    layer: Float[Array, " sites"]  # u
-    pinning: Float[Array, " sites"]  # u_b, where each contact holds to the track
-    prestress: Float[Array, " sites"]  # φ_i, what the contact carries when u = u_b, in σ_s
-
-    @property
-    def stress(self) -> Float[Array, " sites"]:
-        """σ_c = k(u − u_b)/λc² (label cra06) plus the prestress, in σ_s."""
-        return self.layer - self.pinning + self.prestress
-
-
 @in_full
 def equilibrium_fields(
     modes: Modes, load: Array, pinning: Float[Array, " sites"], prestress: Float[Array, " sites"] | None = None
-) -> ChainFields:
+) -> Fields:
     """Fields of a uniform chain in equilibrium (labels discr1, discr2), in O(sites).
 
     At the load U and with pinning u_b, in u_s; sites beyond those given are pinned at zero. A prestress φ_i, in σ_s, is
-    balanced from outside (top shear), and moves nothing by itself.
+    balanced from outside (top shear), and moves nothing by itself. The stress is σ_c = k(u − u_b)/λc² (label cra06) and that.
     """
     site = jnp.arange(pinning.shape[0], dtype=pinning.dtype)
     echo, y = jax.vmap(modes.echo_factor)(site), jax.vmap(modes.profile)(site)
@@ -219,5 +205,5 @@ def equilibrium_fields(
     endless = echo * up_to + from_here - echo * sources
     amplitude = modes.drive * load / modes.load + modes.reflection @ jnp.sum(y * sources, axis=0)
     in_mode = jax.vmap(lambda direct, at_site: modes.weight * direct + at_site * amplitude)(endless, y)
-    carried = jnp.zeros_like(pinning) if prestress is None else prestress
-    return ChainFields(in_mode @ modes.upper, in_mode.sum(axis=1), pinning, carried)
+    layer = in_mode.sum(axis=1)
+    return Fields(in_mode @ modes.upper, layer, layer - pinning + (0 if prestress is None else prestress))

@@ -272,9 +272,9 @@ def inverse_without_pivots(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
         beside = -carried @ last
         return jnp.block([[first - beside @ carried.T, beside], [beside.T, last]])
 
-    def sweep(k: Array, swept: Array) -> Array:
+    def eliminated(k: Array, swept: Array) -> Array:
         here = jnp.arange(n) == k
         row, column = jnp.where(here, 1, swept[k]) / swept[k, k], jnp.where(here, -1, swept[:, k])
         return jnp.where(here[:, None] | here[None], 0, swept) - column[:, None] * row[None]
 
-    return lax.fori_loop(0, n, sweep, matrix)
+    return lax.fori_loop(0, n, eliminated, matrix)

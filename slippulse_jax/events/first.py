@@ -324,12 +324,12 @@ def smooth_length(contacts: Relaxed, rule: BreakRule) -> Float[Array, ""]:
     threshold, last, start = contacts.threshold, contacts.last, nucleated(contacts)
 
     def ahead(front: Front) -> tuple[Array, Array]:
-        stress, *pressure = front.stress[:, front.position]
+        stress, *pressure = front.loads[:, front.position]
         return stress, threshold[front.position] * (pressure[0] if pressure else 1)
 
     def release(front: Front, part: Any, released: Array) -> Front:
         return front._replace(
-            stress=front.stress + start.response.column(front.position) * (part * released), position=front.position + 1
+            loads=front.loads + start.response.column(front.position) * (part * released), position=front.position + 1
         )
 
     at_edge = Front(start.readings, None, None, jnp.int32(0))

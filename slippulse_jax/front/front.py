@@ -48,11 +48,11 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from slippulse_jax.bodies.modes import ChainFields, Modes, equilibrium_fields, inverse, lattice_modes
+from slippulse_jax.bodies.modes import Modes, equilibrium_fields, inverse, lattice_modes
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.interface import AnyInterface, Interface, Profile
 from slippulse_jax.rules import BreakRule, fraction_broken
-from slippulse_jax.slider import Slider
+from slippulse_jax.slider import Fields, Slider
 
 APPROACH = 45.0
 """Decay lengths after which e^{−s/length} is nothing in float64."""
@@ -73,7 +73,7 @@ NEWTON_STEPS = 4
 class Front(NamedTuple):
     """State of a front that has passed contacts 0 … position − 1; the leading axis of the first three runs over the modes."""
 
-    stress: Any  # Z_m, in σ_s, or what it has changed by; of a block, the stress on every contact
+    loads: Any  # what loads the contacts ahead: Z_m, counted as `passage` does; or the readings of every contact
     reflected: Any  # Q_mn
     reach: Any  # (w_n + Σ_m e_m(0) R_mn) r_n^s, what the next break adds to the stress on contact 0; None where not wanted
     position: Any  # s
@@ -82,7 +82,7 @@ class Front(NamedTuple):
 
 def stress_ahead(front: Front, echo: Any = None) -> Any:
     """Σ_m e_m(s) Z_m, with the leading axis kept; the prestress comes on top."""
-    return (front.stress if echo is None else echo * front.stress).sum(0, keepdims=True)
+    return (front.loads if echo is None else echo * front.loads).sum(0, keepdims=True)
 
 
 def advance(guide: Any, front: Front, released: Any, echo: Any = None, start: Any = None) -> Front:
@@ -90,17 +90,17 @@ def advance(guide: Any, front: Front, released: Any, echo: Any = None, start: An
 
     Multiplying by r_m is written x − (1 − r_m) x: r_m itself, rounded, would be a systematic error of s·10⁻¹⁶. A guide is
     `Modes`, or anything with a `gap` 1 − r_m and a `weight` w_m; `echo` is e_m(s) of a finite one. `start` is Z_m before
-    contact 0 broke, where `front.stress` holds the change since then: soft interfaces change Z_m by as little as b, of which
+    contact 0 broke, where `front.loads` holds the change since then: soft interfaces change Z_m by as little as b, of which
     single precision would lose the digits.
     """
     gap, Q, reach, edge = guide.gap, front.reflected, front.reach, front.edge
     both = gap[:, None] + gap[None] - gap[:, None] * gap[None]  # 1 − r_m r_n
-    stress = front.stress + (guide.weight + (Q if echo is None else Q * echo[None]).sum(1)) * released
+    loads = front.loads + (guide.weight + (Q if echo is None else Q * echo[None]).sum(1)) * released
     if reach is not None:
         edge = edge + (reach if echo is None else reach * echo).sum(0, keepdims=True) * released
         reach = reach - gap * reach
-    lost = gap * (stress if start is None else start + stress)
-    return Front(stress - lost, Q - both * Q, reach, front.position + 1, edge)
+    lost = gap * (loads if start is None else start + loads)
+    return Front(loads - lost, Q - both * Q, reach, front.position + 1, edge)
 
 
 # --- where a front ends ------------------------------------------------------------------------------------------------
@@ -253,26 +253,26 @@ def passage(
     nucleated = contact_at(modes, contacts, 0)
     at_0, hard = nucleate(modes, nucleated[0] - nucleated[1]), rule is None
     threshold, prestress = nucleated if hard else (0 * x for x in nucleated)
-    loaded = at_0.stress if hard else None
+    loaded = at_0.loads if hard else None
 
     def ahead(front: Front) -> tuple[Array, Array]:
         here, carried = contact_at(modes, contacts, front.position)
         stress = stress_ahead(front, echo_at(modes, front.position))[0] + (carried - prestress)
         if hard and modes.echo is not None:
-            stress = stress + (modes.echo_growth(front.position) * at_0.stress).sum()
+            stress = stress + (modes.echo_growth(front.position) * at_0.loads).sum()
         return stress, here - threshold
 
     def release(front: Front, part: Any, stress: Array) -> Front:
         return advance(modes, front, part * (threshold + stress), echo_at(modes, front.position), loaded)
 
-    start = release(at_0._replace(stress=0 * at_0.stress) if hard else at_0, 1, nucleated[0] - threshold)
+    start = release(at_0._replace(loads=0 * at_0.loads) if hard else at_0, 1, nucleated[0] - threshold)
     return start, ahead, release
 
 
 # --- past the arrest ---------------------------------------------------------------------------------------------------
 
 
-def sweep(
+def run_over(
     modes: Modes, loaded: Array, prestress: Float[Array, " n"], part: Callable[..., Any] = lambda stress: 1, *values: Array
 ) -> Float[Array, " n"]:
     """t(0) … t(n − 1): the stress on each contact once all before it have broken, past the arrest too.
@@ -302,8 +302,8 @@ def sweep(
     return lax.scan(step, start, (prestress, *values))[1]
 
 
-def swept_length(rule: BreakRule | None, stress: Float[Array, " n"], threshold: Float[Array, " n"]) -> tuple[Array, Array]:
-    """ℓ on a straight line, from the stresses of a sweep; and whether it has ended.
+def length_of_run(rule: BreakRule | None, stress: Float[Array, " n"], threshold: Float[Array, " n"]) -> tuple[Array, Array]:
+    """ℓ on a straight line, from the stresses of a run; and whether it has ended.
 
     As of a `Profile`.
     """
@@ -318,7 +318,7 @@ def swept_length(rule: BreakRule | None, stress: Float[Array, " n"], threshold: 
 
 
 @in_full
-def readings(slider: Slider, prestress: Array, position: Array, count: int) -> tuple[Array, Array]:
+def slip_and_stress(slider: Slider, prestress: Array, position: Array, count: int) -> tuple[Array, Array]:
     r"""Slip, in u_s, and contact stress, in σ_s, at the first `count` contacts after a front that stopped at `position`.
 
     How far the interfacial layer moved while the front ran, and what each contact carries (label cra06). When the contacts
@@ -334,7 +334,7 @@ def readings(slider: Slider, prestress: Array, position: Array, count: int) -> t
     part = jnp.clip(position - site, 0, 1)
     broken = part**2 * (3 - 2 * part)
     loaded = jnp.ones_like(modes.load)  # contact 0 carries its threshold
-    moved = broken * sweep(modes, loaded, prestress + 0 * site, lambda _, broken: broken, broken)
+    moved = broken * run_over(modes, loaded, prestress + 0 * site, lambda _, broken: broken, broken)
     slip = equilibrium_fields(modes, jnp.zeros_like(modes.load), moved).layer
     driven = (1 - prestress) * jax.vmap(modes.profile)(site) @ modes.drive
     return slip, prestress + driven + slip - moved
@@ -344,11 +344,11 @@ def readings(slider: Slider, prestress: Array, position: Array, count: int) -> t
 def front_stress(modes: Modes, count: int, contacts: AnyInterface = None) -> Float[Array, " count"]:
     """t(0) … t(count − 1) of contacts that break as a whole and repin at once."""
     threshold, prestress = contact_at(modes, contacts, jnp.arange(count))
-    return sweep(modes, threshold[0], prestress)
+    return run_over(modes, threshold[0], prestress)
 
 
 @partial(jax.jit, static_argnames="sites")
-def front_fields(slider: Slider, interface: AnyInterface = None, *, position: Any, sites: int) -> ChainFields:
+def front_fields(slider: Slider, interface: AnyInterface = None, *, position: Any, sites: int) -> Fields:
     """Fields once contacts 0 … position − 1 of a slider have broken.
 
     At the load of nucleation, on the first `sites` contacts: position 0 is nucleation, `contacts_broken` is arrest. Those of
@@ -356,7 +356,7 @@ def front_fields(slider: Slider, interface: AnyInterface = None, *, position: An
     """
     modes, site = lattice_modes(slider), jnp.arange(sites)
     threshold, prestress = contact_at(modes, interface, site)
-    pinning = jnp.where(site < position, sweep(modes, threshold[0], prestress), 0)
+    pinning = jnp.where(site < position, run_over(modes, threshold[0], prestress), 0)
     return equilibrium_fields(modes, modes.load * (threshold[0] - prestress[0]), pinning, prestress)
 
 

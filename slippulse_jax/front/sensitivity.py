@@ -1,4 +1,7 @@
-"""Derivatives of the length in threshold and prestress of every contact, by reverse mode through a sweep of the front."""
+"""Derivatives of the length in threshold and prestress of every contact.
+
+By reverse mode through a front that runs past its arrest.
+"""
 
 from functools import partial
 from types import NoneType
@@ -10,7 +13,7 @@ from jaxtyping import Array, Float
 
 from slippulse_jax.base.domains import check_kind, check_single, check_whole
 from slippulse_jax.bodies.modes import lattice_modes
-from slippulse_jax.front.front import contact_at, sweep, swept_length
+from slippulse_jax.front.front import contact_at, length_of_run, run_over
 from slippulse_jax.interface import AnyInterface, Interface, Profile
 from slippulse_jax.rules import BreakRule, check_rule
 from slippulse_jax.slider import Slider, check_endless
@@ -76,8 +79,8 @@ def _worked_out(slider: Slider, interface: AnyInterface, sites: int, rule: Break
         return jnp.ones_like(stress) if rule is None else jnp.where(site == 0, 1, rule.broken(stress, threshold))
 
     def length(theta: Array, phi: Array) -> tuple[Array, tuple[Array, Array]]:
-        stress = sweep(modes, theta[0], phi, part, theta, site)
-        length, complete = swept_length(rule, stress, theta)
+        stress = run_over(modes, theta[0], phi, part, theta, site)
+        length, complete = length_of_run(rule, stress, theta)
         return length, (stress, complete)
 
     theta, phi = (jnp.broadcast_to(x, (sites,)) for x in contact_at(modes, interface, site))

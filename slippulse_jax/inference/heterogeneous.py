@@ -28,7 +28,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.events.event import first_to_break
 from slippulse_jax.events.first import first_event
-from slippulse_jax.front.front import end_of_front, sweep
+from slippulse_jax.front.front import end_of_front, run_over
 from slippulse_jax.inference.table.measurements import MeasurementError, Measurements
 from slippulse_jax.slider import Slider
 
@@ -162,7 +162,7 @@ def _front(height: Array, stiffness: Array, poisson: Array, theta: Array, phi: A
     site = jnp.arange(theta.size)
     push = jax.vmap(modes.profile)(site.astype(theta.dtype)) @ modes.drive
     first, load = first_to_break(push[None], theta, phi[None])
-    stress = sweep(modes, load + phi[0], phi)
+    stress = run_over(modes, load + phi[0], phi)
     excess = stress - theta
     holds = (excess < 0) & (site > first)  # contacts up to the one that breaks first have broken by then
     s0 = jnp.argmax(holds)

@@ -9,13 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from slippulse_jax.base.files import write_atomically
-from slippulse_jax.bodies.modes import ChainFields
 from slippulse_jax.events.first import FirstPrecursor
 from slippulse_jax.front.front import front_fields
 from slippulse_jax.plot import style
 from slippulse_jax.plot.blocks import Frames, draw_block, frames_of
 from slippulse_jax.plot.labels import DISTANCE, axis_label
-from slippulse_jax.slider import Slider
+from slippulse_jax.slider import Fields, Slider
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -105,7 +104,7 @@ def animate(
     return movie
 
 
-def _scene(panels: Any, fields: ChainFields, positions: np.ndarray, shown: int) -> Any:
+def _scene(panels: Any, fields: Fields, positions: np.ndarray, shown: int) -> Any:
     """Draw the first frame; return the function that draws any other."""
     above, below = panels
     c = style.colours(above)

@@ -10,14 +10,13 @@ import numpy as np
 from jaxtyping import Array
 
 from slippulse_jax.base.status import Outcome
-from slippulse_jax.bodies.modes import ChainFields
 from slippulse_jax.events.first import FirstPrecursor
 from slippulse_jax.front.front import front_fields
 from slippulse_jax.interface import Interface
 from slippulse_jax.plot import style
 from slippulse_jax.plot.labels import AGAIN, DISTANCE, axis_label
 from slippulse_jax.precursor import first_precursor, precursor_length
-from slippulse_jax.slider import Slider
+from slippulse_jax.slider import Fields, Slider
 
 SITES = 320
 """Contacts computed and shown, the same for every slider and compiled program."""
@@ -37,7 +36,7 @@ class View(NamedTuple):
     """Everything drawn, in arrays of fixed shapes."""
 
     front: FirstPrecursor
-    fields: ChainFields  # with the front at a position
+    fields: Fields  # with the front at a position
     position: Array
     slopes: Array  # of the length, in (H/λc, k/K, ν, φ, ε)
     again: Array  # number of broken contacts at which the edge contact is back at its threshold; −1 where it never is
@@ -59,7 +58,7 @@ def view(theta: Array, position: Array) -> View:
     slider, interface = model(theta)
     front = first_precursor(slider, interface, sites=SITES)
 
-    def fields_at(position: Array) -> ChainFields:
+    def fields_at(position: Array) -> Fields:
         return front_fields(slider, interface, position=position, sites=SITES)
 
     at = jnp.where(position < 0, front.contacts_broken, position)

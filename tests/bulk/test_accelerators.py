@@ -12,7 +12,7 @@ from slippulse_jax.bulk import chunks
 from slippulse_jax.bulk.compiler import local_devices, platform
 from slippulse_jax.exact import crack
 from slippulse_jax.exact import front as exact
-from slippulse_jax.front.front import readings
+from slippulse_jax.front.front import slip_and_stress
 
 pytestmark = pytest.mark.ci
 
@@ -48,7 +48,7 @@ PROGRAMS = {
     "length, backward": (backward(sp.precursor_length), SLIDER),
     "exact length": (backward(sp.exact_length), SLIDER),
     "exact fields": (lambda x: exact.exact_fields(x, 3.0, jnp.arange(9.0)), SLIDER),
-    "fields": (lambda x: readings(x, jnp.float32(0.1), jnp.float32(3.5), 9), SLIDER),
+    "fields": (lambda x: slip_and_stress(x, jnp.float32(0.1), jnp.float32(3.5), 9), SLIDER),
     "crack": (lambda x: crack.fields(x, jnp.float32(0.3), jnp.float32(0.1), jnp.float32(5.0), jnp.float32(7.0)), SLIDER),
     "equilibrium": (lambda x: sp.equilibrium(chain(x), sp.nucleate(chain(x))[0]), SLIDER),
     "rupture": (lambda x: sp.rupture(chain(x), sp.nucleate(chain(x))[0], trigger=0), SLIDER),

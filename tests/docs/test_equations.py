@@ -81,8 +81,9 @@ def test_dimensionless_numbers_of_the_appendix():
 def test_lattice_is_in_balance_with_the_stresses_of_the_paper():
     """Labels discr1, discr2, cra06, cra07: of the first precursor at arrest, site by site."""
     slider = sp.Slider(25.0, 0.03, 0.3)
-    fields = front_fields(slider, position=sp.first_precursor(slider).contacts_broken, sites=100)
-    ut, u, ub = (np.asarray(x) for x in (fields.upper, fields.layer, fields.pinning))
+    front = sp.first_precursor(slider)
+    fields = front_fields(slider, position=front.contacts_broken, sites=front.pinning.size)
+    ut, u, ub = (np.asarray(x) for x in (fields.upper, fields.layer, front.pinning))
     bend = lambda x: x[2:] + x[:-2] - 2 * x[1:-1]  # noqa: E731
     KL, KT, k = float(slider.K_L), float(slider.K_T), float(slider.stiffness)
     np.testing.assert_allclose(KL * bend(ut), KT * (ut - u)[1:-1], atol=1e-13)

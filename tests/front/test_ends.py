@@ -88,10 +88,11 @@ def test_fields_under_a_drive_are_those_of_the_chain_with_that_spring():
     with jax.enable_x64(True):
         front = sp.first_precursor(ended(FIG2, sites, "clamped", machine=machine))
         assert front.stress.shape == (sites,)
-        every = [front_fields(front.body, position=s, sites=sites) for s in (0, front.contacts_broken)]
+        every = [(front_fields(front.body, position=s, sites=sites), jnp.where(jnp.arange(sites) < s, front.front_stress, 0))
+                 for s in (0, front.contacts_broken)]  # fmt: skip
     dense = dense_chain.DenseChain.uniform((25.0, 0.03, 0.3), np.ones(sites), 0.0, "clamped", spring=machine)
-    for fields in every:
-        upper, layer = dense.at(np.asarray(fields.pinning), float(front.load)).fields()
+    for fields, pinning in every:
+        upper, layer = dense.at(np.asarray(pinning), float(front.load)).fields()
         np.testing.assert_allclose(fields.upper, upper, atol=1e-10)
         np.testing.assert_allclose(fields.layer, layer, atol=1e-10)
     assert dense.at(np.zeros(sites), float(front.load)).stress()[0] == pytest.approx(1, rel=1e-12)

@@ -14,7 +14,7 @@ from reports import unfolded
 import slippulse_jax as sp
 from benchmarks import gauge_coverage
 from slippulse_jax.cli.fit import command
-from slippulse_jax.front.front import readings
+from slippulse_jax.front.front import slip_and_stress
 from slippulse_jax.inference.model.fronts import FirstFront
 from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.model.observables import predicted
@@ -54,7 +54,9 @@ def test_fields_are_those_of_the_dense_program(height, stiffness, prestress):
     _, slip_before, stress_before = dense_fields(height, stiffness, prestress, count - 1)
     with jax.enable_x64(True):
         slider = sp.Slider(height, stiffness, 0.3)
-        whole, between = (readings(slider, jnp.asarray(prestress), jnp.asarray(x), 64) for x in (float(count), count - 0.3))
+        whole, between = (
+            slip_and_stress(slider, jnp.asarray(prestress), jnp.asarray(x), 64) for x in (float(count), count - 0.3)
+        )
     np.testing.assert_allclose(whole, (slip[:64], stress[:64]), atol=1e-12)
     step = 0.7**2 * (3 - 2 * 0.7)
     np.testing.assert_allclose(between[0], step * slip[:64] + (1 - step) * slip_before[:64], atol=1e-12)
@@ -73,7 +75,7 @@ def test_a_front_without_a_count_stops_at_its_length():
     inputs = at_gauges([2000.0, 20.0], [1e-3, 0.02], [0.0, 0.99], [1500.0, 1.6], 0.4, 0.0)
     length = sp.exact_lengths(sp.Slider(2000.0, 1e-3, 0.3)) + 0.4
     with jax.enable_x64(True):
-        slip, _ = readings(sp.Slider(2000.0, 1e-3, 0.3), jnp.asarray(0.0), jnp.asarray(float(length)), 4096)
+        slip, _ = slip_and_stress(sp.Slider(2000.0, 1e-3, 0.3), jnp.asarray(0.0), jnp.asarray(float(length)), 4096)
     found = predicted("slip", FirstFront(), inputs)[0]
     assert found[0] == pytest.approx(float(slip[1500]), abs=1e-9)
     assert found[1] == np.inf

@@ -28,7 +28,7 @@ from slippulse_jax.exact import crack
 from slippulse_jax.exact.bulk import NEVER, exact_fronts
 from slippulse_jax.exact.crossing import expected_length
 from slippulse_jax.front.arrest import MOST_BREAKS, arrest
-from slippulse_jax.front.front import APPROACH, readings
+from slippulse_jax.front.front import APPROACH, slip_and_stress
 from slippulse_jax.front.lanes import STIFFEST as STIFFEST_RUN_BACK
 from slippulse_jax.front.lanes import jet_kernel
 from slippulse_jax.inference.choices import Body, MeasuredEvent
@@ -252,7 +252,7 @@ class Front:
 
         Traced, each of shape (count,).
         """
-        return readings(sliders(inputs, jnp.exp), inputs.prestress, stopped, count)
+        return slip_and_stress(sliders(inputs, jnp.exp), inputs.prestress, stopped, count)
 
     def regime(self, inputs: Inputs) -> Regime:
         """Find b and 1/κ_2 of each row of the inputs."""
