@@ -67,11 +67,6 @@ def local_devices(*, cpu: bool = False) -> Sequence[Any]:
         return devices
 
 
-def platform() -> str:
-    """Platform on which an operation runs by default."""
-    return local_devices()[0].platform
-
-
 @functools.cache
 def knows(option: str) -> bool:
     """Whether the XLA of this jaxlib has an option of this name.
@@ -170,7 +165,7 @@ def in_one_loop(f: Callable, *given: Any) -> Any:
     operations, and has at least as many results as arguments. All results should be used: XLA looks for unused ones in a time
     that grows exponentially with the depth of f.
     """
-    if platform() != "cpu" or not reduces_in_one_loop():
+    if local_devices()[0].platform != "cpu" or not reduces_in_one_loop():
         return f(*given)
     return _reduced(f, *given)
 
@@ -255,8 +250,8 @@ def solve_without_pivots(matrix: Float[Array, "n n"], right: Float[Array, " n"])
     return lax.fori_loop(0, right.size, eliminate, jnp.concatenate([matrix, right[:, None]], axis=1))[:, -1]
 
 
-SWEPT = 64
-"""Size of a matrix from which on it is inverted by halves."""
+BY_HALVES = 64
+"""Size of a matrix beyond which it is inverted by halves."""
 
 
 def inverse_without_pivots(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
@@ -268,7 +263,7 @@ def inverse_without_pivots(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     n, half = len(matrix), len(matrix) // 2
     if n == 0:  # such as displacements across a slider
         return matrix
-    if n > SWEPT:
+    if n > BY_HALVES:
         first, beside, last = matrix[:half, :half], matrix[:half, half:], matrix[half:, half:]
         first = inverse_without_pivots(first)
         carried = first @ beside
@@ -276,9 +271,9 @@ def inverse_without_pivots(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
         beside = -carried @ last
         return jnp.block([[first - beside @ carried.T, beside], [beside.T, last]])
 
-    def sweep(k: Array, swept: Array) -> Array:
+    def eliminate(k: Array, partly: Array) -> Array:
         here = jnp.arange(n) == k
-        row, column = jnp.where(here, 1, swept[k]) / swept[k, k], jnp.where(here, -1, swept[:, k])
-        return jnp.where(here[:, None] | here[None], 0, swept) - column[:, None] * row[None]
+        row, column = jnp.where(here, 1, partly[k]) / partly[k, k], jnp.where(here, -1, partly[:, k])
+        return jnp.where(here[:, None] | here[None], 0, partly) - column[:, None] * row[None]
 
-    return lax.fori_loop(0, n, sweep, matrix)
+    return lax.fori_loop(0, n, eliminate, matrix)

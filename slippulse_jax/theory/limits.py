@@ -251,16 +251,16 @@ def envelope_length(slider: Slider) -> Float[Array, "..."]:
     layer at the edge (2 → 1 from stiff to soft, exactly) as it fades for soft interfaces. The other numbers are fitted.
     Never negative.
     """
-    return each_slider(_envelope, slider)
 
+    def one(slider: Slider) -> Array:
+        k, k2, beta = slider.kappa, slider.kappa_2, slider.beta
+        released = slider.b * beta
+        lattice = released * k / jnp.sqrt(4 + k**2)
+        B = beta + lattice
+        # 2/(1+B) = 1 + (1−B)/(1+B), and 1 − B = (1−β)(1 − κ/√(4+κ²))
+        L = jnp.log1p((released - lattice) / (1 + B))
+        P = k / k2 * (L + beta * (L + jnp.expm1(-2 * L) / 2) / (1 + lattice + beta * jnp.exp(-2 * L)))
+        c = 1.93 - 0.83 * beta
+        return jnp.maximum((P + c * (1 - (1 + 1.15 * P / c) ** -2)) / k - 0.29 - 0.12 * beta, 0)
 
-def _envelope(slider: Slider) -> Array:
-    k, k2, beta = slider.kappa, slider.kappa_2, slider.beta
-    released = slider.b * beta
-    lattice = released * k / jnp.sqrt(4 + k**2)
-    B = beta + lattice
-    # 2/(1+B) = 1 + (1−B)/(1+B), and 1 − B = (1−β)(1 − κ/√(4+κ²))
-    L = jnp.log1p((released - lattice) / (1 + B))
-    P = k / k2 * (L + beta * (L + jnp.expm1(-2 * L) / 2) / (1 + lattice + beta * jnp.exp(-2 * L)))
-    c = 1.93 - 0.83 * beta
-    return jnp.maximum((P + c * (1 - (1 + 1.15 * P / c) ** -2)) / k - 0.29 - 0.12 * beta, 0)
+    return each_slider(one, slider)
