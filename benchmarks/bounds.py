@@ -1,10 +1,12 @@
 """The bounds that must hold, one row each: speed beside numba, start-up, and the way from a function to the physics.
 
-``python -m benchmarks bounds`` runs all rows, ``python -m benchmarks bounds points start`` some of them. Every speed is a ratio of
-runs taken in turns. Ruptures have rows for N = 300 and 3000; long fronts are H/λc log-uniform in 10⁴–10⁵, b in 0.2–5.
+``python -m benchmarks bounds`` runs all rows, ``python -m benchmarks bounds points start`` some of them. With ``--share 0.01`` points,
+studies and turns are fewer by this factor. Every speed is a ratio of runs taken in turns. Ruptures have rows for N = 300 and 3000; long fronts are H/λc log-uniform in 10⁴–10⁵, b in 0.2–5.
 """
 
+import argparse
 import functools
+import math
 import os
 import subprocess
 import sys
@@ -24,7 +26,7 @@ from benchmarks.timing import side_by_side
 from slippulse_jax import Block, Push, Slider, exact_lengths, fit, precursor_length, precursor_lengths
 from slippulse_jax.bulk.compiler import compile_loops_whole
 
-SMALLEST = ""
+SMALLEST = "--share 0.01"
 
 ROOT = Path(__file__).resolve().parent.parent
 LENGTHS = ROOT / "fit_examples" / "pmma_block" / "lengths.csv"
@@ -33,21 +35,26 @@ Row = tuple[str, float, str]
 """What, how much, and the bound."""
 
 
-def points() -> Iterator[Row]:
-    """200 000 random points on all cores, and what their derivatives add."""
-    rng, n = np.random.default_rng(0), 200_000
+def part(share: float, count: int) -> int:
+    """This share of a count, at least one."""
+    return math.ceil(share * count)
+
+
+def points(share: float) -> Iterator[Row]:
+    """Random points on all cores, and what their derivatives add."""
+    rng, n = np.random.default_rng(0), part(share, 200_000)
     given = rng.uniform(10, 50, n), 10 ** rng.uniform(-3, np.log10(0.03), n), rng.uniform(0.1, 0.45, n)
     slider, out = Slider(*given), np.empty(n)
     value = functools.partial(precursor_lengths, slider)
-    taken = side_by_side({"value": value, "numba": lambda: rivals.parallel(*given, out)}, 12)
-    yield "200 000 points, numba on all cores over this package", taken["numba"] / taken["value"], "≥ 2.5"
-    taken = side_by_side({"value": value, "derivatives": functools.partial(value, derivatives=1)}, 36)
+    taken = side_by_side({"value": value, "numba": lambda: rivals.parallel(*given, out)}, part(share, 12))
+    yield f"{n} points, numba on all cores over this package", taken["numba"] / taken["value"], "≥ 2.5"
+    taken = side_by_side({"value": value, "derivatives": functools.partial(value, derivatives=1)}, part(share, 36))
     yield "value with three derivatives over value", taken["derivatives"] / taken["value"], "≤ 3"
 
 
-def long() -> Iterator[Row]:
-    """100 000 long fronts; numba by 200 of them."""
-    n, few = 100_000, 200
+def long(share: float) -> Iterator[Row]:
+    """Long fronts; numba by every five-hundredth of them."""
+    n, few = part(share, 100_000), part(share, 200)
     given = long_fronts(n)
     slider, out = Slider(*given), np.empty(few)
     taken = side_by_side(
@@ -56,51 +63,53 @@ def long() -> Iterator[Row]:
             "ℓ*": lambda: exact_lengths(slider),
             "numba": lambda: rivals.parallel(*(x[:few] for x in given), out),
         },
-        3,
+        part(share, 3),
     )
     for name in ("ℓ", "ℓ*"):
-        yield f"100 000 long fronts, numba over {name}, per point", taken["numba"] * n / few / taken[name], "≥ 100"
+        yield f"{n} long fronts, numba over {name}, per point", taken["numba"] * n / few / taken[name], "≥ 100"
 
 
-def ruptures() -> Iterator[Row]:
+def ruptures(share: float) -> Iterator[Row]:
     """Single ruptures beside the numba loop of `benchmarks.cascade`."""
-    from benchmarks.cascade import ruptures
+    from benchmarks.cascade import SITES, ruptures
 
-    for sites, _, _, ours, alone, whole, theirs in ruptures(lanes=(1,)):
+    for sites, _, _, ours, alone, whole, theirs in ruptures([part(share, n) for n in SITES], lanes=(1,)):
         yield f"a rupture of {sites} sites, set-up and equilibria in both, numba over this package", whole / ours, "≥ 1"
         yield "its breaks alone, given stresses and response, numba over this package", theirs / alone, "≥ 1"
 
 
-def series() -> Iterator[Row]:
-    """10 000 events beside the numba loop of `benchmarks.series`, which is given its responses."""
+def series(share: float) -> Iterator[Row]:
+    """Events beside the numba loop of `benchmarks.series`, which is given its responses."""
     from benchmarks.series import single
 
-    ours, theirs, _ = single(2000, 10_000)
-    yield "10 000 events at N = 2000, numba over this package", theirs / ours, "as before"
+    events = part(share, 10_000)
+    ours, theirs, _ = single(2000, events)
+    yield f"{events} events at N = 2000, numba over this package", theirs / ours, "as before"
 
 
-def blocks() -> Iterator[Row]:
+def blocks(share: float) -> Iterator[Row]:
     """The length of a block, and what its derivatives in H/λc, k/K, ν and the push add; compiled."""
     for height, friction in ((100.0, None), (400.0, None), (100.0, 0.25), (400.0, 0.25)):
+        sites = max(64, part(share, 256 if height < 200 else 512))
 
-        def length(x: jax.Array, sites: int = 256 if height < 200 else 512, friction: float | None = friction) -> jax.Array:
+        def length(x: jax.Array, sites: int = sites, friction: float | None = friction) -> jax.Array:
             return precursor_length(Block(x[0], x[1], x[2], Push(x[3]), friction=friction), sites=sites)
 
         with jax.enable_x64(True):
             at = jnp.array([height, 1 / (2.6 * height), 0.3, 0.25])
             programs = {"value": jax.jit(length), "both": jax.jit(jax.value_and_grad(length))}
             each = {name: (lambda f=f, x=at: jax.block_until_ready(f(x))) for name, f in programs.items()}
-            taken = side_by_side(each, 48)
+            taken = side_by_side(each, part(share, 48))
         where = f"of a block, H/λc = {height:.0f}" + (f", μ = {friction}" if friction else "")
         yield f"length {where}, ms", 1e3 * taken["value"], "≤ 30"
         yield f"value with four derivatives over value, {where}", taken["both"] / taken["value"], "≤ 3"
 
 
-def fits() -> Iterator[Row]:
-    """Fits with two and three parameters, of ten studies each: the slowest, programs compiled."""
+def fits(share: float) -> Iterator[Row]:
+    """Fits with two and three parameters: the slowest of some studies, programs compiled."""
     for number, make, bound in (("two", lambda rng: two(rng, 8, 80), "≤ 1"), ("three", three, "≤ 5")):
         rng, taken = np.random.default_rng(5), []
-        studies = [make(rng) for _ in range(10)]
+        studies = [make(rng) for _ in range(part(share, 10))]
         fit(studies[0].measurements, studies[0].free)
         for study in studies:
             began = time.perf_counter()
@@ -109,11 +118,11 @@ def fits() -> Iterator[Row]:
         yield f"fit with {number} parameters, s", max(taken), bound
 
 
-def start() -> Iterator[Row]:
+def start(share: float) -> Iterator[Row]:
     """Start-up in s, with an empty folder of compiled programs and with what the first call left there."""
 
     def python(code: str) -> float:
-        return min(_seconds([sys.executable, "-c", code], _user()) for _ in range(3))
+        return min(_seconds([sys.executable, "-c", code], _user()) for _ in range(part(share, 3)))
 
     yield "import, s", python("import slippulse_jax as sp; sp.precursor_length") - python("pass"), "≤ 1"
     command = [sys.executable, "-m", "slippulse_jax.cli.main"]
@@ -122,7 +131,7 @@ def start() -> Iterator[Row]:
         ("fit", ["fit", str(LENGTHS)], "≤ 5", "≤ 2.5"),
     ):
         cold, warm = [], []
-        for _ in range(3):
+        for _ in range(part(share, 3)):
             with tempfile.TemporaryDirectory() as folder:
                 keep = _user() | {"XDG_CACHE_HOME": folder}
                 cold.append(_seconds([*command, *words], keep))
@@ -170,7 +179,7 @@ print(",".join(seen), *max(depth, default=(0, 0)), sep=";")
     return modules.split(","), int(depth), int(physics)
 
 
-def path() -> Iterator[Row]:
+def path(_: float) -> Iterator[Row]:
     """How far it is from a public function to a line of physics, and how many modules a fit passes through."""
     _, frames, physics = _visits("sp.precursor_lengths(sp.Slider([25.0, 30.0], 0.03, 0.3))")
     yield "functions of the package from precursor_lengths to the physics, nested", frames, "≤ 7"
@@ -193,14 +202,18 @@ ROWS = {
 }
 
 
-def main(names: list[str]) -> None:
-    """Print a table. Loops are compiled whole, as ruptures and series ask for; it makes no difference to the other rows."""
-    compile_loops_whole()
+def main() -> None:
+    """Print a table."""
+    asked = argparse.ArgumentParser(description="The bounds that must hold, one row each.")
+    asked.add_argument("rows", nargs="*", default=list(ROWS))
+    asked.add_argument("--share", type=float, default=1.0, help="of the points, studies and turns")
+    given = asked.parse_args()
+    compile_loops_whole()  # as ruptures and series ask for; it makes no difference to the other rows
     print("| | found | bound |\n|---|---|---|")
-    for name in names or ROWS:
-        for what, value, bound in ROWS[name]():
+    for name in given.rows:
+        for what, value, bound in ROWS[name](given.share):
             print(f"| {what} | {value:.3g} | {bound} |", flush=True)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

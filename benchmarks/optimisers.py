@@ -28,7 +28,7 @@ from slippulse_jax.inference.search.likelihood import make_problem
 from slippulse_jax.inference.search.minima import search
 from slippulse_jax.inference.search.minimise import Convergence, Method, minimise
 
-SMALLEST = "1"
+SMALLEST = "1 'two: prior'"
 
 STARTS, STEPS, CLOSE = 32, 60, 1e-3
 EVERY = {"adam": 4}  # which studies it is given

@@ -34,7 +34,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "fit_examples"))
 import independent_block  # pyright: ignore[reportMissingImports]
 import independent_sequence  # pyright: ignore[reportMissingImports]
 
-SMALLEST = "--studies 1"
+SMALLEST = "--studies 1 ageing events"
 
 HEIGHT, YOUNG, POISSON, NORMAL, LOAD, WIDTH, PUSHER = 30.0, 3.0, 0.3, 1.2, 1000.0, 10.0, 0.1  # mm, GPa, N; k_n/k; over H
 OF_FORCE, OF_PLACE, OF_ARREST, SCATTER = 0.01, 0.005, 0.03, 0.05
@@ -119,12 +119,12 @@ class Tally:
             shares = ", ".join(
                 f"{level:.0%} {Share(int(sum(x)), len(x))}" for level, x in zip(LEVELS, zip(*held, strict=True), strict=True)
             )
-            pulls = np.array(self.pulls.get(name, [np.nan]))
-            quarters = np.quantile(pulls, [0.25, 0.75])
-            print(
-                f"  {name:16} intervals hold the truth: {shares}; {pulls.size} standard errors, pulls {pulls.mean():+.2f}, spread "
-                f"{pulls.std():.2f} ({np.ptp(quarters) / 1.349:.2f} by quartiles)"
-            )
+            pulls = np.array(self.pulls.get(name, []))
+            print(f"  {name:16} intervals hold the truth: {shares}; {pulls.size} standard errors", end="")
+            if pulls.size:
+                quartiles = np.ptp(np.quantile(pulls, [0.25, 0.75])) / 1.349
+                print(f", pulls {pulls.mean():+.2f}, spread {pulls.std():.2f} ({quartiles:.2f} by quartiles)", end="")
+            print()
         print(f"  {self.far} numbers off by more than three of their errors")
 
 

@@ -1,4 +1,4 @@
-"""A block under two-dimensional elasticity on the same contacts, and what pushes its side.
+"""A block under two-dimensional elasticity, and what pushes its side.
 
 Lengths are in λc, stiffnesses in K = Eλc, contact stretches in u_s = f_s/k, hence stresses in σ_s, as for a slider.
 """
@@ -81,7 +81,9 @@ def _whole_or_none(x: Any) -> Any:
 
 
 class Push(eqx.Module):
-    """A pusher on the left side of a block, rigid where it imposes a displacement.
+    """A pusher on the left side of a block.
+
+    It is rigid where it imposes a displacement.
 
     Parameters
     ----------
@@ -139,10 +141,7 @@ class Push(eqx.Module):
 
 
 def checked_sites(body: Any, sites: Any) -> int:
-    """Number of contacts to resolve, which must fit into memory.
-
-    A block that ends needs all of its own.
-    """
+    """Number of contacts to resolve, if it fits memory and body."""
     check_whole("sites", sites, 2)
     if sites > MOST_CONTACTS:
         raise ValueError(f"sites = {sites}: at most {MOST_CONTACTS} contacts of a body are resolved")
@@ -152,7 +151,7 @@ def checked_sites(body: Any, sites: Any) -> int:
 
 
 def has_push(given: Container[str], control: Control) -> bool:
-    """Whether columns or arguments describe a push; refuse a width or a control without a height."""
+    """Whether columns describe a push; refuse a width without a height."""
     Push(control=control)
     if "push_height" not in given and ("push_width" in given or control != "displacement"):
         raise ValueError("push_width and push_control describe a push: give push_height too")
@@ -160,7 +159,7 @@ def has_push(given: Container[str], control: Control) -> bool:
 
 
 class Block(eqx.Module):
-    """An elastic block on an interface of λ-contacts, pushed at its left side.
+    """An elastic block on λ-contacts, pushed at its left side.
 
     Its right end, if it has one, is free. With a friction coefficient, thresholds follow the pressure, which the push tilts.
 
@@ -333,11 +332,11 @@ class Block(eqx.Module):
 
     @property
     def sites(self) -> int | None:
-        """Number of contacts of a block that ends; None where it does not, or where that is traced."""
+        """Number of contacts of a block that ends; else None."""
         return None if self.length is None or isinstance(self.length, Tracer) else int(self.length)
 
     def contacts(self, interface: "Interface | Profile | None", sites: int) -> "Relaxed":
-        """Its first contacts before loading, and what a push and a break do to them."""
+        """First contacts before loading, with their response."""
         from slippulse_jax.blocks.event import contacts_of  # above: the body says where, and loads nothing else
 
         return contacts_of(self, interface, sites)

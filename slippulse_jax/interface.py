@@ -19,9 +19,9 @@ from slippulse_jax.base.units import Numbers, as_float, quantity_field
 
 
 def check_bulk(interface: "Interface | None") -> None:
-    """Check that the numbers of `interface` broadcast with a slider's, as those of a `Profile` do not.
+    """Check that the numbers of `interface` broadcast with a slider's.
 
-    A TypeError names the functions that take a profile.
+    Those of a `Profile` do not. A TypeError names the functions that take a profile.
     """
     if interface is not None and not isinstance(interface, Interface):
         raise TypeError(

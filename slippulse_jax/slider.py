@@ -39,7 +39,7 @@ _DOMAIN = {"height": HEIGHT, "stiffness": STIFFNESS, "poisson": POISSON, "length
 
 
 class Fields(NamedTuple):
-    """Displacements of the two layers in u_s = f_s/k, and stress on the contacts in σ_s, at some sites."""
+    """Displacements in u_s = f_s/k, and stress on contacts in σ_s."""
 
     upper: Float[Array, "..."]  # u_t
     layer: Float[Array, "..."]  # u
@@ -173,7 +173,7 @@ class Slider(eqx.Module):
 
     @property
     def sites(self) -> Int[Array, "..."] | None:
-        """Number of contacts of a slider that ends, N rounded where it is no whole number; None where it does not."""
+        """Number of contacts of a slider that ends, N rounded; else None."""
         return None if self.length is None else jnp.ceil(jnp.minimum(jnp.asarray(self.length) - 0.5, 2e9)).astype(jnp.int32)
 
     def __repr__(self) -> str:
@@ -208,9 +208,9 @@ class Slider(eqx.Module):
     @property
     @quantity("b", "1", "cra42")
     def b(self) -> Array:
-        """Contact over transverse stiffness, k/K_T, which is the areal stiffness times H over the shear modulus.
+        """Contact over transverse stiffness, k/K_T.
 
-        The only parameter of the macroscopic limit.
+        It is the areal stiffness times H over the shear modulus. The only parameter of the macroscopic limit.
         """
         return 2 * (1 + jnp.asarray(self.poisson)) * self.stiffness * self.height
 
@@ -241,7 +241,7 @@ class Slider(eqx.Module):
     @property
     @quantity("\\sqrt{\\mathcal D}", "1/\\lambda_c^2", "cra18")
     def mode_splitting(self) -> Array:
-        """κ_1² − κ_2², a sum of positive terms: D = (κ² − κ_T²)² + 4βκ²κ_T², with βκ² = K_T/K."""
+        """κ_1² − κ_2² = √[(κ² − κ_T²)² + 4βκ²κ_T²], from positive terms."""
         coupling = self.K_T
         return jnp.sqrt((coupling + self.stiffness - self.kappa_T**2) ** 2 + 4 * self.kappa_T**2 * coupling)
 
@@ -254,13 +254,16 @@ class Slider(eqx.Module):
     @property
     @quantity("\\kappa_2", "1/\\lambda_c", "cra18")
     def kappa_2(self) -> Array:
-        """Smaller inverse decay length, from κ_1²κ_2² = κ_T² k/K: the difference of squares would cancel."""
+        """Smaller inverse decay length, from the product κ_1²κ_2² without cancellation."""
         return self.kappa_T * jnp.sqrt(jnp.asarray(self.stiffness)) / self.kappa_1
 
     @property
     @quantity("\\kappa_2^{-1}", "\\lambda_c", "cra18")
     def slow_decay_length(self) -> Array:
-        """1/κ_2, over which the slow mode decays: a block shorter than three or four of them is not semi-infinite."""
+        """1/κ_2, over which the slow mode decays.
+
+        A block shorter than three or four of them is not semi-infinite.
+        """
         return 1 / self.kappa_2
 
     @property
@@ -275,17 +278,19 @@ class Slider(eqx.Module):
     @property
     @quantity("\\alpha_2", "1", "cra18")
     def alpha_2(self) -> Array:
-        """u/u_t in the slow mode, 1 − κ_2²/κ_T² (between 0 and 1). Erratum: as for `alpha_1`."""
+        """u/u_t in the slow mode, 1 − κ_2²/κ_T² (erratum as for `alpha_1`)."""
         return self._excess_over_contacts / self.kappa_1**2
 
     def contacts(self, interface: "Interface | Profile | None", sites: int) -> "Relaxed":
-        """Its first contacts before loading, or all of one that ends, and what a push and a break do to them."""
+        """First contacts, or all, before loading, with their response."""
         from slippulse_jax.events.first import contacts_of_slider  # above: the body says where, and loads nothing else
 
         return contacts_of_slider(self, interface, sites)
 
     def driving_stress(self, upper: Real, layer: Real) -> Array:
-        """Stress σ_d = K_T(u_t − u)/λc² by which the upper layer drives the interfacial one, in σ_s; label cra07.
+        """Stress of the upper layer on the interfacial one, in σ_s.
+
+        σ_d = K_T(u_t − u)/λc², label cra07.
 
         Parameters
         ----------
@@ -301,7 +306,7 @@ class Slider(eqx.Module):
 
     @property
     def _excess_over_contacts(self) -> Array:
-        """κ_1² − k/K without cancellation: the positive root e of e² + z e = (K_T/K)(k/K)."""
+        """κ_1² − k/K: positive root e of e² + ze = (K_T/K)(k/K)."""
         z = self.stiffness - self.K_T - self.kappa_T**2
         larger = (self.mode_splitting + jnp.where(z < 0, -z, z)) / 2
         return jnp.where(z < 0, larger, self.K_T * self.stiffness / larger)
@@ -310,7 +315,7 @@ class Slider(eqx.Module):
 def from_si(
     owner: str, *, correlation_length: Any, areal_stiffness: Any, young: Any, **lengths: Any
 ) -> tuple[dict[str, Any], Any]:
-    """Lengths over λc, and k/K = (k/λc²) λc/E, from positive numbers in SI units, or quantities in others."""
+    """Lengths over λc, and k/K = (k/λc²) λc/E, from SI."""
     given = {**lengths, "correlation_length": correlation_length, "areal_stiffness": areal_stiffness, "young": young}
     units, domains = {"areal_stiffness": "Pa/m", "young": "Pa"}, {"correlation_length": CORRELATION_LENGTH, "young": YOUNG}
     si = {name: as_float(f"{owner}: {name}", x, units.get(name, "m")) for name, x in given.items()}
@@ -322,7 +327,7 @@ def from_si(
 
 
 def of_one_type(slider: Slider, *others: Any) -> list[Array]:
-    """The fields of `slider` and `others` in one floating type and, but for scalars, of one rank; not broadcast."""
+    """Fields of `slider` and `others`, of one type and rank, not broadcast."""
     values = [at_least_single(jnp.asarray(x)) for x in (slider.height, slider.stiffness, slider.poisson, *others)]
     rank, dtype = max(x.ndim for x in values), jnp.result_type(float, *values)
     return [x.astype(dtype).reshape((1,) * (rank - x.ndim) * (x.ndim > 0) + x.shape) for x in values]
@@ -334,7 +339,7 @@ def broadcast(slider: Slider, *others: Any) -> list[Array]:
 
 
 def check_endless(owner: str, slider: Slider) -> None:
-    """Refuse what is no slider, and one with an end or a machine, which a formula would ignore."""
+    """Refuse what is no slider, or has an end or machine."""
     check_kind("slider", slider, Slider)
     for name in ("length", "machine"):
         if getattr(slider, name) is not None:
@@ -343,7 +348,7 @@ def check_endless(owner: str, slider: Slider) -> None:
 
 
 def each_slider(function: Any, slider: Slider, *others: Any) -> Any:
-    """Map ``function(slider, *others)``, written for one slider and scalars, over arrays that broadcast together.
+    """Map a function of one slider and scalars over arrays that broadcast.
 
     What depends on the slider alone is computed once per slider: `jnp.vectorize` maps only the axes that an argument has.
     """

@@ -1,1 +1,1 @@
-"""What is no physics: outcomes, numbers with units and domains, choices, printing, files and processes."""
+"""No physics: outcomes, numbers with units and domains, printing, files, processes."""

@@ -1,4 +1,4 @@
-"""Choices of bodies and events, and the one that was meant; read without JAX and NumPy."""
+"""Choices of bodies and events, read without JAX and NumPy."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches

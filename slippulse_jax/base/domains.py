@@ -19,7 +19,7 @@ class Domain(NamedTuple):
     closed: Literal["neither", "low", "high", "both"] = "neither"  # ends that are included
 
     def holds(self, x: Any) -> Any:
-        """Whether `x` lies in it, element by element; numbers, NumPy arrays, JAX arrays and tracers."""
+        """Whether `x` lies in it, element by element."""
         above = x >= self.low if self.closed in ("low", "both") else x > self.low
         return above & (x <= self.high if self.closed in ("high", "both") else x < self.high)
 
@@ -51,9 +51,10 @@ PLAIN = float, int, np.float64
 
 
 def in_unit(name: str, x: Any, unit: str = "") -> Any:
-    """Convert a quantity of Astropy, Pint or unxt, or several, to a unit; anything else stays as it is.
+    """Convert quantities of Astropy, Pint or unxt to a unit.
 
-    A TypeError names the argument where a quantity cannot be converted: most arguments are ratios, without a unit.
+    One or several; anything else stays as it is. A TypeError names the argument where a quantity cannot be converted: most
+    arguments are ratios, without a unit.
     """
     if type(x) in (*PLAIN, np.ndarray) or (isinstance(x, list | tuple) and {*map(type, x)} <= {*PLAIN}):
         return x
@@ -79,10 +80,10 @@ def _real(one: Any) -> float:
 
 
 def real_numbers(name: str, x: Any, unit: str = "", cell: Callable[[Any], float] = _real) -> np.ndarray:
-    """Convert real numbers to NumPy float64, quantities to `unit`; `cell` converts what is an object or a text.
+    """Convert real numbers to NumPy float64, and quantities to `unit`.
 
-    A TypeError names the argument and what it is instead: text, dates, complex numbers, booleans, records, nothing, or a
-    quantity in another unit. A ValueError says that it is masked.
+    `cell` converts what is an object or a text. A TypeError names the argument and what it is instead: text, dates, complex
+    numbers, booleans, records, nothing, or a quantity in another unit. A ValueError says that it is masked.
     """
     given, why = in_unit(name, x, unit), ""
     if type(given) in (float, np.float64) or (type(given) is np.ndarray and given.dtype.kind == "f"):
@@ -108,9 +109,10 @@ def real_numbers(name: str, x: Any, unit: str = "", cell: Callable[[Any], float]
 
 
 def check_kind(name: str, value: object, *kinds: type) -> None:
-    """Check that an argument is an object of one of these classes, and that this process can compute with it.
+    """Check that an argument is an object of one of these classes.
 
-    A TypeError names the argument, what it is, and what it must be; a RuntimeError is as that of `check_process`.
+    It also checks that this process can compute with it. A TypeError names the argument, what it is, and what it must be; a
+    RuntimeError is as that of `check_process`.
     """
     check_process()
     if not isinstance(value, kinds):
@@ -119,22 +121,22 @@ def check_kind(name: str, value: object, *kinds: type) -> None:
 
 
 def check_whole(name: str, value: object, least: int) -> None:
-    """Check that an argument is a whole number, `least` or more; a ValueError names it and its value."""
+    """Check that an argument is a whole number, `least` or more."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise ValueError(f"{name} = {value!r}: must be a whole number, at least {least}")
 
 
 def check_choice(name: str, value: object, choices: Any) -> None:
-    """Check that an argument is one of the values of a ``Literal``; a ValueError names it, its value, and the choices."""
+    """Check that an argument is one of the values of a ``Literal``."""
     known = get_args(choices)
     if value not in known:
         raise ValueError(f"{name} = {value!r}: must be one of {', '.join(map(repr, known))}{did_you_mean(value, known)}")
 
 
 def check_single(owner: str, **given: Any) -> None:
-    """Check that arguments with a `shape` (None for one that was not given) are no batches.
+    """Check that arguments with a `shape` are no batches.
 
-    A ValueError names the owner, the argument, and its shape.
+    None stands for one that was not given. A ValueError names the owner, the argument, and its shape.
     """
     for name, value in given.items():
         if value is not None and value.shape != ():
@@ -142,9 +144,9 @@ def check_single(owner: str, **given: Any) -> None:
 
 
 def check_domain(name: str, value: Any, inside: Any, requirement: str) -> None:
-    """Check that all values are finite and inside a domain; those that JAX traces are not checked.
+    """Check that all values are finite and inside a domain.
 
-    A ValueError has name, value and index of the first that is not, and `requirement`.
+    Values that JAX traces are not checked. A ValueError has name, value and index of the first that is not, and `requirement`.
     """
     from jax.core import Tracer  # here, because a table of measurements is read without JAX
 

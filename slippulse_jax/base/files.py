@@ -1,4 +1,4 @@
-"""Atomic writing of files, reading of those that are not too large, and values as JSON takes them."""
+"""Reading files up to a size, writing atomically, values for JSON."""
 
 import math
 import os
@@ -13,9 +13,9 @@ FIGURE_FORMATS = ("png", "pdf", "svg")
 
 
 def read_whole(path: str | os.PathLike[str], largest: int) -> bytes:
-    """Read a file of at most `largest` bytes, a multiple of 2²⁰; a larger one is a ValueError, without reading it whole.
+    """Read a file of at most `largest` bytes, a multiple of 2²⁰.
 
-    The path ``-`` is standard input.
+    A larger one is a ValueError, and is not read whole. The path ``-`` is standard input.
     """
     parts, size = [], 0
     with nullcontext(sys.stdin.buffer) if os.fspath(path) == "-" else open(path, "rb") as file:
@@ -28,7 +28,7 @@ def read_whole(path: str | os.PathLike[str], largest: int) -> bytes:
 
 
 def file_name(path: str | os.PathLike[str]) -> str:
-    """What messages call a file that is read; a ValueError for a text in place of its name."""
+    """Name of a file that is read, for messages; refuse a text."""
     name = os.fspath(path)
     if len(lines := name.splitlines()) > 1 and not os.path.exists(path):
         raise ValueError(f"{lines[0]!r} …: a text, and no file's name; give its file, or pandas.read_csv(io.StringIO(text))")
@@ -58,12 +58,12 @@ def write_atomically(path: str | os.PathLike[str], content: bytes) -> None:
 
 
 def shortened(message: str) -> str:
-    """Cut out the middle of a long message, since a damaged file may have a cell of megabytes."""
+    """Cut out the middle of a long message of a damaged file."""
     return message if len(message) <= 2000 else f"{message[:1400]} … {message[-400:]}"
 
 
 def plain(content: Any) -> Any:
-    """Convert to what JSON takes: arrays and tuples to lists, record arrays to rows, numbers that are not finite to None."""
+    """Convert to what JSON takes; numbers that are not finite to None."""
     if isinstance(content, dict):
         return {name: plain(value) for name, value in content.items()}
     if isinstance(content, (list, tuple)):

@@ -16,7 +16,10 @@ def first_of(endings: dict[Any, Any]) -> Int[Array, "..."]:
 def outcome(
     broken: Array, goes: Array, edge: Array, *, valid: Any, through: Any = False, endless: Any = False
 ) -> Int[Array, "..."]:
-    """`Outcome` of fronts from the contacts broken, whether the one ahead breaks, and the excess on contact 0 behind them."""
+    """`Outcome` of fronts.
+
+    Given are the contacts broken, whether the one ahead breaks, and the excess on contact 0 behind them.
+    """
     endings = {
         Outcome.INVALID: ~valid,
         Outcome.RAN_THROUGH: through,
@@ -29,7 +32,7 @@ def outcome(
 
 
 def length_or_reason(status: Array, length: Array) -> Array:
-    """`length` of a front that stopped; 0 where none started; else inf or NaN, with a derivative that is not finite either."""
+    """`length` of fronts that stopped; else 0, inf or NaN."""
     stopped = (status == Outcome.ARRESTED) | (status == Outcome.REBREAK)
     none = (status == Outcome.NO_DOMINO) | (status == Outcome.NOTHING_BROKE)
     infinite = (status == Outcome.RAN_THROUGH) | (status == Outcome.RUN_AWAY)

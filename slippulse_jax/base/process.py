@@ -16,9 +16,10 @@ if hasattr(os, "register_at_fork"):
 
 
 def check_process() -> None:
-    """Check that this process is no child of ``fork`` of one that had used JAX, in which JAX would wait for ever.
+    """Check that JAX can compute in this process.
 
-    A RuntimeError says how to start workers instead.
+    In a child of ``fork`` of a process that had used JAX it would wait for ever. A RuntimeError says how to start workers
+    instead.
     """
     if _forked:
         raise RuntimeError(

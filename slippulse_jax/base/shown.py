@@ -19,7 +19,9 @@ MOST_ROWS = 20
 
 
 def short(x: Any) -> str:
-    """Format a number, a small array, or size and range of a larger one; anything else by its repr.
+    """Format a number, a small array, or the range of a larger.
+
+    Anything else has its repr.
 
     Examples
     --------
@@ -41,7 +43,7 @@ def short(x: Any) -> str:
 
 
 def exponent_of(value: float) -> int:
-    """Power of ten with which to write a value; 0 for everyday sizes."""
+    """Power of ten for writing a value; 0 for everyday sizes."""
     if value == 0 or not np.isfinite(value):
         return 0
     exponent = int(np.floor(np.log10(abs(value))))
@@ -56,9 +58,10 @@ def format_number(value: float, digits: int = 4) -> str:
 
 
 def value_with_error(value: float, error: float | None, above: float | None = None) -> str:
-    """``(1.955 ± 0.032)e10``, or ``(9.2 -1.9 +2.5)e10`` with another error `above`: the smaller error to two digits.
+    """Format a value with its error: ``(1.955 ± 0.032)e10``.
 
-    The other numbers are written to the same place; without an error the value is, to four digits.
+    With another error `above`: ``(9.2 -1.9 +2.5)e10``. The smaller error has two digits. The other numbers are written to the
+    same place; without an error the value is, to four digits.
     """
     if error is None or not 0 < error < np.inf:
         return format_number(value)
@@ -72,9 +75,10 @@ def value_with_error(value: float, error: float | None, above: float | None = No
 
 
 def interval(piece: Any, near: float | None = None, width: float = 0.0) -> str:
-    """Format an `Interval`, ``(1.92 to 1.99)e10``, with the power of ten of the value `near`, and open ends in words.
+    """Format an `Interval`: ``(1.92 to 1.99)e10``.
 
-    To two digits of half of `width`, by default its own, as of a standard error, and to six digits in all at most.
+    It has the power of ten of the value `near`, and two digits of half of `width`, by default its own, as of a standard error;
+    six digits in all at most. Open ends are said in words.
     """
     low, high, open_low, open_high = piece
     if open_low or open_high:
@@ -104,7 +108,7 @@ def _power(x: float) -> int:
 
 
 def ends(x: ArrayLike, digits: int = 2) -> str:
-    """``0.42 to 1.3``, the smallest and the largest number, or the one there is."""
+    """``0.42 to 1.3``, smallest and largest number, or the only one."""
     return " to ".join(dict.fromkeys(format_number(float(end), digits) for end in (np.nanmin(x), np.nanmax(x))))
 
 
@@ -124,7 +128,7 @@ def either(texts: Sequence[str]) -> str:
 
 
 def in_a_line(made: Any, *names: str) -> str:
-    """Format the call that makes a dataclass, with all or some of its fields, without default values."""
+    """Format the call that makes a dataclass, without default values."""
     fields = [field for field in dataclasses.fields(made) if not names or field.name in names]
     values = ((field.name, getattr(made, field.name), field.default) for field in fields)
     shown = [f"{name}={short(value)}" for name, value, default in values if value is not None and value is not default]
@@ -132,7 +136,7 @@ def in_a_line(made: Any, *names: str) -> str:
 
 
 def html(title: str, rows: Iterable[Sequence[str]], heads: Sequence[str] = (), below: str = "") -> str:
-    """Format a table for a notebook, with scrolling where it is too wide; rows beyond `MOST_ROWS` are counted."""
+    """Format a table for a notebook, of at most `MOST_ROWS` rows."""
     rows = list(rows)
     lines = [f"<tr>{''.join(f'<th>{escape(head)}</th>' for head in heads)}</tr>"] * bool(heads)
     lines += [f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows[:MOST_ROWS]]

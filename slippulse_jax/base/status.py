@@ -5,7 +5,7 @@ from typing import Self
 
 
 class NotConverged(RuntimeError):
-    """A search that failed for valid input; the command line exits with 3."""
+    """Failure of a search for valid input (exit code 3)."""
 
 
 class Status(enum.IntEnum):
@@ -14,7 +14,7 @@ class Status(enum.IntEnum):
     message: str
 
     def __new__(cls, value: int, message: str) -> Self:
-        """Make a member from the value stored in files and the message shown to users."""
+        """Make a member from its number and its message."""
         member = int.__new__(cls, value)
         member._value_ = value
         member.message = message
@@ -22,7 +22,7 @@ class Status(enum.IntEnum):
 
 
 class Outcome(Status):
-    """How a computation ended: a first precursor, a rupture, an event with inertia, a series of events, an equilibrium.
+    """How an event, a series of events or a search ended.
 
     Of an event, the length is finite up to `REBREAK` and for `NOTHING_BROKE`, inf for `RAN_THROUGH` and `RUN_AWAY`, else NaN.
     """

@@ -21,10 +21,11 @@ Numbers = Array | ArrayLike
 
 
 def machine_ratio(per_width: Any, young: Any) -> Any:
-    """M/K of a machine, from its stiffness over the width of the block, in N/m², and Young's modulus, in Pa.
+    """Convert the stiffness of a machine to M/K.
 
-    A block of width W is W/λc slices in parallel, each λc wide. Of a machine of S N/m each slice has M = S λc/W, and K = Eλc
-    (label cra04): M/K = (S/W)/E, whatever λc.
+    Given are that over the width of the block, in N/m², and Young's modulus, in Pa. A block of width W is W/λc slices in
+    parallel, each λc wide. Of a machine of S N/m each slice has M = S λc/W, and K = Eλc (label cra04): M/K = (S/W)/E, whatever
+    λc.
     """
     return per_width / young
 
@@ -57,7 +58,7 @@ def quantity(symbol: str, unit: str, label: str = "") -> Callable[[F], F]:
 
 
 def quantities(cls: type) -> dict[str, Quantity]:
-    """Quantities of the fields and properties of `cls`, by name, in order of definition."""
+    """Quantities of the fields and properties of `cls`, by name."""
     found = {f.name: f.metadata["quantity"] for f in dataclasses.fields(cls) if "quantity" in f.metadata}
     for name, value in vars(cls).items():
         mark = getattr(getattr(value, "fget", None), "quantity", None)
@@ -67,9 +68,10 @@ def quantities(cls: type) -> dict[str, Quantity]:
 
 
 def as_float(name: str, x: Any, unit: str = "") -> Any:
-    """Convert to floating point: JAX arrays and tracers in their own precision, at least single; all else to NumPy float64.
+    """Convert to floating point.
 
-    Quantities are converted to `unit`; what holds no real numbers is refused as `real_numbers` does, by the argument's `name`.
+    JAX arrays and tracers keep their precision, at least single; all else becomes NumPy float64. Quantities are converted to
+    `unit`; what holds no real numbers is refused as `real_numbers` does, by the argument's `name`.
     """
     given = in_unit(name, x, unit)
     if not isinstance(given, jax.Array):
@@ -82,5 +84,5 @@ def as_float(name: str, x: Any, unit: str = "") -> Any:
 
 
 def at_least_single(x: Array) -> Array:
-    """Convert half precision, in which no length has a digit, to single; anything else stays as it is."""
+    """Convert half precision, in which no length has a digit, to single."""
     return x.astype(jnp.float32) if jnp.issubdtype(x.dtype, jnp.floating) and x.dtype.itemsize < 4 else x

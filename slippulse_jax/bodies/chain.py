@@ -143,7 +143,8 @@ def chain(
     check_single("chain", slider=slider, interface=interface)
     sites = _sites_of(slider, sites)
     slider = jax.tree.map(at_least_single, slider)
-    of_interface = _of_interface(interface, sites)
+    numbers = jnp.arange(sites)
+    of_interface = (1.0, 0.0) if interface is None else (interface.threshold_at(numbers), interface.prestress_at(numbers))
     threshold = of_interface[0] if threshold is None else threshold
     prestress = of_interface[1] if prestress is None else prestress
     contact = slider.stiffness if contact is None else contact
@@ -198,14 +199,6 @@ def check_linear(chain: Chain, owner: str) -> None:
     """Refuse a chain whose contacts have a force law."""
     if chain.law is not None:
         raise ValueError(f"{owner} needs linear contacts: this chain has a force law")
-
-
-def _of_interface(interface: AnyInterface, sites: int) -> tuple[AnyArrayLike, AnyArrayLike]:
-    """Thresholds and prestress of the first sites of an interface."""
-    if interface is None:
-        return 1.0, 0.0
-    numbers = jnp.arange(sites)
-    return interface.threshold_at(numbers), interface.prestress_at(numbers)
 
 
 def potential_energy(chain: Chain, x: tuple[Array, Array], pinning: Array) -> Float[Array, ""]:

@@ -181,16 +181,11 @@ def _solve_linear(chain: Chain, contact: Array, beyond: Springs, force: Pair) ->
         return jnp.stack([(-upper).at[0].set(x[0, 0]), contact * x[1] - layer])
 
     def solver(_, b: Array) -> Array:
-        return jnp.stack(_respond(chain, contact, beyond, (b[0], b[1])))
+        upper, layer = respond(chain, contact, beyond, (b[0], b[1]))
+        return jnp.stack([upper.at[0].set(b[0, 0]), layer])  # the identity on u_t[0], so that the map is symmetric
 
     upper, layer = lax.custom_linear_solve(stiffness, jnp.stack(force), solver, symmetric=True)
     return upper, layer
-
-
-def _respond(chain: Chain, contact: Array, beyond: Springs, force: Pair) -> Pair:
-    """`respond`, extended symmetrically by the identity on u_t[0]."""
-    upper, layer = respond(chain, contact, beyond, force)
-    return upper.at[0].set(force[0][0]), layer
 
 
 def _tangent(chain: Chain, stretch: Array) -> Array:

@@ -1,1 +1,4 @@
-"""Chunks of lanes, threads, devices, compiler options and kept programs. No physics here."""
+"""Chunks of lanes, threads, devices, compiler options and kept programs.
+
+No physics here.
+"""

@@ -43,7 +43,7 @@ Rank = Callable[[Lanes], np.ndarray]
 
 
 class Layout(NamedTuple):
-    """Chunk size and compiler option for a kernel. They change the speed; `fusion_emitters` also changes the last digit."""
+    """Chunk size and compiler option of a kernel, for its speed."""
 
     chunk: int = 1000
     """Lanes per chunk; not a power of two, for which arrays would compete for the same lines of the cache. With one lane per
@@ -54,7 +54,7 @@ class Layout(NamedTuple):
     """Chunks below which a second thread costs more than it saves: the interpreter lock changes hands, and a core wakes up."""
     fusion_emitters: bool = True
     """Whether XLA's newer code generator writes the program. The older one takes half the time to compile wide formulas, which
-    then run as fast or faster."""
+    then run as fast or faster. The last digit depends on it."""
 
 
 DEFAULT_LAYOUT = Layout()
@@ -116,7 +116,7 @@ def over_lanes(kernel: Kernel, lanes: Lanes, layout: Layout = DEFAULT_LAYOUT, ra
 
 
 def _plan(count: int, layout: Layout, in_step: bool, devices: int) -> tuple[int, int, int]:
-    """Lanes per chunk, most chunks per call, and the number of calls side by side."""
+    """Lanes per chunk, most chunks per call, and calls side by side."""
     if in_step:
         return layout.chunk * (NARROW if count <= NARROW * layout.chunk else WIDE), 1, devices
     if 0 < count <= layout.few:
@@ -127,7 +127,7 @@ def _plan(count: int, layout: Layout, in_step: bool, devices: int) -> tuple[int,
 
 @functools.cache
 def _program(kernel: Kernel, fields: int, width: int, most: int, device: Any, emitters: bool) -> Compiled:
-    """Program for one device and up to `most` chunks; the rest of its input is ignored."""
+    """Program for one device and up to `most` chunks."""
     traced = jax.jit(kernel, inline=True)  # once, for the shapes of its results and for its place in the loop
 
     def all_chunks(lanes: Float[Array, "fields n"], chunks: Int[Array, ""]) -> tuple[Array, ...]:
@@ -151,7 +151,7 @@ def _program(kernel: Kernel, fields: int, width: int, most: int, device: Any, em
 
 
 def distinct_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distinct rows, and the index of each row among them; several times as fast as ``numpy.unique``."""
+    """Distinct rows and their indices, several times as fast as ``numpy.unique``."""
     order = np.lexsort(rows.T)
     in_order = rows[order]
     is_new = np.append(True, (in_order[1:] != in_order[:-1]).any(axis=1))[: len(rows)]
@@ -167,7 +167,7 @@ _here = threading.local()
 
 @contextmanager
 def in_this_thread() -> Iterator[None]:
-    """Work in the calling thread alone, for a caller whose own threads keep all cores busy."""
+    """Work in this thread alone, as for callers with their own threads."""
     before, _here.alone = getattr(_here, "alone", False), True
     try:
         yield
@@ -176,7 +176,7 @@ def in_this_thread() -> Iterator[None]:
 
 
 def workers() -> int:
-    """Number of threads: one per core, and at least one per local device; one within `in_this_thread`."""
+    """Number of threads: one per core, or one within `in_this_thread`."""
     # a batch system or ``taskset`` may give the process fewer cores than the machine has
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return 1 if getattr(_here, "alone", False) else max(cores, len(jax.local_devices()))

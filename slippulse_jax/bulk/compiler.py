@@ -1,4 +1,4 @@
-"""Ask XLA to compile a loop as one function, to give several results from one loop, and to multiply in full.
+"""Options of XLA, loops of several results, and products and inverses.
 
 `compile_loops_whole`: XLA's CPU runtime calls a compiled function for every operation (or fusion of some), at 0.1–0.2 µs each;
 in a loop over short arrays that is most of the time. XLA compiles a loop whole where one turn of it touches less than a
@@ -53,7 +53,7 @@ slower over long arrays: the last digit would depend on either.
 
 
 def local_devices(*, cpu: bool = False) -> Sequence[Any]:
-    """Devices to work on: the one chosen by ``jax.default_device``, or all; with `cpu` those of the CPU, if JAX may use it."""
+    """Devices to work on: the chosen one or all; or the CPU's."""
     chosen = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
     if chosen is None:
         devices = jax.local_devices()
@@ -65,11 +65,6 @@ def local_devices(*, cpu: bool = False) -> Sequence[Any]:
         return jax.local_devices(backend="cpu")
     except RuntimeError:  # JAX_PLATFORMS names the accelerator alone
         return devices
-
-
-def platform() -> str:
-    """Platform on which an operation runs by default."""
-    return local_devices()[0].platform
 
 
 @functools.cache
@@ -92,10 +87,11 @@ def _say_once(what: str) -> None:
 
 
 def in_full(f: F) -> F:
-    """Compute the matrix products of `f`, and of its derivatives, in the full precision of their type.
+    """Compute the matrix products of `f` in full precision of their type.
 
-    It goes where a product is written, and on the rule of a derivative that has one: JAX notes the precision when it traces.
-    Blocks need none: they are computed in double precision, which every accelerator multiplies in full.
+    And those of its derivatives. It goes where a product is written, and on the rule of a derivative that has one: JAX notes
+    the precision when it traces. Blocks need none: they are computed in double precision, which every accelerator multiplies
+    in full.
     """
 
     @functools.wraps(f)
@@ -107,7 +103,7 @@ def in_full(f: F) -> F:
 
 
 def check_jit() -> None:
-    """Check that JAX compiles, as all that is computed in bulk needs; a RuntimeError says how."""
+    """Check that JAX compiles, as computing in bulk needs."""
     if jax.config.jax_disable_jit:  # pyright: ignore[reportAttributeAccessIssue]
         raise RuntimeError(
             "jax_disable_jit is set (JAX_DISABLE_JIT), and this package needs jit for fits, sweeps and lengths in bulk: unset "
@@ -116,9 +112,10 @@ def check_jit() -> None:
 
 
 def compiled(f: Callable, *shapes: jax.ShapeDtypeStruct, device: Any, fusion_emitters: bool, named: Any = None) -> Compiled:
-    """Compile `f` for one device in double precision; on a CPU with `OPTIONS`, if this jaxlib takes them.
+    """Compile `f` for one device in double precision.
 
-    Where programs are kept (`slippulse_jax.bulk.kept`), `named` tells this one from all others; by default f itself does.
+    On a CPU it is compiled with `OPTIONS`, if this jaxlib takes them. Where programs are kept (`slippulse_jax.bulk.kept`),
+    `named` tells this one from all others; by default f itself does.
     """
 
     def lowered() -> Lowered:
@@ -145,11 +142,11 @@ LOOP_BYTES = 10_000_000
 
 
 def compile_loops_whole() -> None:
-    """Make XLA compile each loop as one function, in this process; to be called before JAX computes anything.
+    """Make XLA compile each loop as one function, in this process.
 
-    Ruptures and series then run several times as fast on a CPU. It sets the environment variable ``XLA_FLAGS``, which XLA reads
-    once and which child processes inherit; options for the backend that are there already stay as they are. ``slippulse`` calls
-    it where it helps, in a process of its own.
+    It must be called before JAX computes anything. Ruptures and series then run several times as fast on a CPU. It sets the
+    environment variable ``XLA_FLAGS``, which XLA reads once and which child processes inherit; options for the backend that
+    are there already stay as they are. ``slippulse`` calls it where it helps, in a process of its own.
     """
     options, threshold = "xla_backend_extra_options", "xla_cpu_small_while_loop_byte_threshold"
     flags = os.environ.get("XLA_FLAGS", "")
@@ -162,21 +159,22 @@ def compile_loops_whole() -> None:
 
 
 def in_one_loop(f: Callable, *given: Any) -> Any:
-    """f(*given) of trees of arrays of one shape and type, element by element, all results from one loop on a CPU.
+    """Evaluate f(*given) element by element, in one loop on a CPU.
 
-    f is written for single numbers, maps them by elementary operations, and has at least as many results as arguments. All
-    results should be used: XLA looks for unused ones in a time that grows exponentially with the depth of f.
+    The arguments are trees of arrays of one shape and type. f is written for single numbers, maps them by elementary
+    operations, and has at least as many results as arguments. All results should be used: XLA looks for unused ones in a time
+    that grows exponentially with the depth of f.
     """
-    if platform() != "cpu" or not reduces_in_one_loop():
+    if local_devices()[0].platform != "cpu" or not reduces_in_one_loop():
         return f(*given)
     return _reduced(f, *given)
 
 
 @functools.cache
 def reduces_in_one_loop() -> bool:
-    """Whether this jaxlib compiles a reduction as `in_one_loop` needs it; seen in a sample, once per process.
+    """Whether this jaxlib compiles a reduction as `in_one_loop` needs it.
 
-    The rows must be taken in their order, and all results come from one loop.
+    It is seen in a sample, once per process. The rows must be taken in their order, and all results come from one loop.
     """
 
     def sample(x: Any, y: Any) -> tuple[Any, ...]:
@@ -217,9 +215,9 @@ def _reduced(f: Callable, *given: Any) -> Any:
 
 
 def lane_by_lane(f: Callable, *given: Any) -> Any:
-    """Evaluate f(*given) lane by lane under ``jax.vmap``, as ``jax.lax.map`` does: a finished lane costs nothing.
+    """Evaluate f(*given) lane by lane under ``jax.vmap``.
 
-    On a CPU; an accelerator runs the lanes in step.
+    On a CPU, where a finished lane costs nothing then, as in ``jax.lax.map``; an accelerator runs the lanes in step.
     """
     one = custom_vmap(f)
 
@@ -252,19 +250,20 @@ def solve_without_pivots(matrix: Float[Array, "n n"], right: Float[Array, " n"])
     return lax.fori_loop(0, right.size, eliminate, jnp.concatenate([matrix, right[:, None]], axis=1))[:, -1]
 
 
-SWEPT = 64
-"""Size of a matrix from which on it is inverted by halves."""
+BY_HALVES = 64
+"""Size of a matrix beyond which it is inverted by halves."""
 
 
 def inverse_without_pivots(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """Inverse of a symmetric positive definite matrix, by halves, and of small ones by elimination.
+    """Inverse of a symmetric positive definite matrix.
 
-    As fast as a library's, which has threads of its own: on cores that are all busy these take longer to agree than to compute.
+    By halves, and of small matrices by elimination. As fast as a library's, which has threads of its own: on cores that are all
+    busy these take longer to agree than to compute.
     """
     n, half = len(matrix), len(matrix) // 2
     if n == 0:  # such as displacements across a slider
         return matrix
-    if n > SWEPT:
+    if n > BY_HALVES:
         first, beside, last = matrix[:half, :half], matrix[:half, half:], matrix[half:, half:]
         first = inverse_without_pivots(first)
         carried = first @ beside
@@ -272,9 +271,9 @@ def inverse_without_pivots(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
         beside = -carried @ last
         return jnp.block([[first - beside @ carried.T, beside], [beside.T, last]])
 
-    def eliminated(k: Array, swept: Array) -> Array:
+    def eliminate(k: Array, partly: Array) -> Array:
         here = jnp.arange(n) == k
-        row, column = jnp.where(here, 1, swept[k]) / swept[k, k], jnp.where(here, -1, swept[:, k])
-        return jnp.where(here[:, None] | here[None], 0, swept) - column[:, None] * row[None]
+        row, column = jnp.where(here, 1, partly[k]) / partly[k, k], jnp.where(here, -1, partly[:, k])
+        return jnp.where(here[:, None] | here[None], 0, partly) - column[:, None] * row[None]
 
-    return lax.fori_loop(0, n, eliminated, matrix)
+    return lax.fori_loop(0, n, eliminate, matrix)

@@ -26,7 +26,7 @@ MAX_STEPS = 100
 
 
 def with_jacobian(f: Function) -> Function:
-    """`f`, and its derivatives in all numbers of its arguments, along a new last axis; by one forward pass."""
+    """`f` and its Jacobian along a new last axis, by forward mode."""
 
     def value_and_jacobian(*given: Array) -> Float[Array, "... numbers"]:
         arguments = tuple(jnp.asarray(x) for x in given)
@@ -42,7 +42,7 @@ def with_jacobian(f: Function) -> Function:
 
 
 def with_gradient(f: Function) -> Function:
-    """As `with_jacobian`, of a number; by one pass back, whatever the count of its arguments."""
+    """As `with_jacobian`, of a number, by one pass of reverse mode."""
 
     def value_and_gradient(*arguments: Array) -> Float[Array, " numbers"]:
         value, slopes = jax.value_and_grad(f, argnums=tuple(range(len(arguments))))(*arguments)
@@ -76,7 +76,7 @@ def by_forward_mode(f: Function, first: Callable[[Function], Function] = with_ja
 
 
 def known(given: Any, why: str) -> Any:
-    """Strip numbers of their derivatives; a ValueError, for a reason, where JAX does not know them."""
+    """Strip numbers of their derivatives; refuse those that JAX does not know."""
     try:
         return jax.tree.map(np.asarray, lax.stop_gradient(given))
     except jax.errors.JAXTypeError:
@@ -84,7 +84,7 @@ def known(given: Any, why: str) -> Any:
 
 
 def under_grad_too(function: Callable[..., Array]) -> Callable[..., Array]:
-    """As `in_double`, of a function that returns an array, and under ``grad`` in single precision too."""
+    """As `in_double`, of an array, and under ``grad`` in single precision."""
 
     @functools.wraps(function)
     def computed(*given: Any) -> Array:
@@ -106,9 +106,10 @@ def under_grad_too(function: Callable[..., Array]) -> Callable[..., Array]:
 
 
 def without_derivative(f: Callable[..., Any], why: str, static_argnums: tuple[int, ...] = ()) -> Callable[..., Any]:
-    """Compile `f`, and make its differentiation a TypeError, as the derivative would be silently zero or an artefact.
+    """Compile `f`, and make its differentiation a TypeError.
 
-    The message is `why`: what is not differentiable, and what to use instead.
+    The derivative would be silently zero or an artefact. The message is `why`: what is not differentiable, and what to use
+    instead.
     """
     refusing = jax.custom_jvp(f, nondiff_argnums=static_argnums)
 

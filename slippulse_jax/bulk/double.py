@@ -1,4 +1,4 @@
-"""Double precision for what loses its digits in single, whatever the JAX flags."""
+"""Double precision where single loses the digits, whatever JAX's flags."""
 
 import functools
 from collections.abc import Callable
@@ -16,9 +16,9 @@ Computed = TypeVar("Computed", bound=Callable)
 
 
 def in_double(function: Computed) -> Computed:
-    """Compute a function of a block in double precision, whatever the JAX flags; results are in the caller's precision.
+    """Compute a function in double precision, whatever the JAX flags.
 
-    A ValueError if an argument is traced while JAX is in single precision.
+    Results are in the caller's precision. A ValueError if an argument is traced while JAX is in single precision.
     """
 
     @functools.wraps(function)

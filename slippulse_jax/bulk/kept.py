@@ -1,4 +1,4 @@
-"""Keep compiled programs whole, so that the next process neither traces nor lowers them again.
+"""Compiled programs kept whole, so that none is traced again.
 
 JAX's own cache saves the compiling, but JAX has to trace and lower a program to look for it there, which takes a second for the
 larger ones. Where the environment names a folder, the programs of `slippulse_jax.bulk.chunks` are kept in it as XLA made them.
@@ -45,9 +45,9 @@ Shapes = Sequence[jax.ShapeDtypeStruct]
 def kept(
     lower: Callable[[], Lowered], compile_it: Callable[[Lowered], Compiled], shapes: Shapes, device: Any, *what: Any
 ) -> Compiled:
-    """The program of `what`, from its file if it has one that works; else lowered, compiled and kept.
+    """Read the program of `what`, or lower, compile and keep it.
 
-    It takes arrays of these shapes and returns a tuple of arrays.
+    It is read from its file if that has one that works. It takes arrays of these shapes and returns a tuple of arrays.
     """
     path = _file(device, *what, [(x.shape, str(x.dtype)) for x in shapes])
     if path is not None:
@@ -78,7 +78,7 @@ _lock = threading.Lock()
 
 @contextmanager
 def _not_in_the_cache_of_jax() -> Iterator[None]:
-    """Compile what JAX's cache does not hold, and keep it out of there."""
+    """Keep what is compiled out of JAX's cache."""
     with _lock:
         limit = _compiling[0] if _compiling else getattr(jax.config, LIMIT)
         _compiling.append(limit)
@@ -106,7 +106,7 @@ def _digest(name: str, content: bytes) -> bytes:
 
 
 def _file(device: Any, *what: Any) -> Path | None:
-    """Where the program is kept; None where none is, or it is not known by its parts."""
+    """File of a program; None where it is not kept."""
     folder = os.environ.get(FOLDER)
     if not folder or device.platform != "cpu":
         return None
@@ -119,7 +119,7 @@ def _file(device: Any, *what: Any) -> Path | None:
 
 
 def _name(one: Any) -> Any:
-    """Whatever tells a kernel, or what it holds, from another; a TypeError of what may change from run to run."""
+    """Whatever tells a kernel from another; refuse what may change between runs."""
     if isinstance(one, PLAIN):
         return repr(one)
     if isinstance(one, (tuple, list)):

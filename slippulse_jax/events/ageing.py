@@ -61,16 +61,12 @@ class Ageing(eqx.Module):
 
         A contact that never broke has the age inf.
         """
-        nu, tau = jnp.asarray(self.newborn), self.load_scale(velocity)
+        nu, tau = jnp.asarray(self.newborn), jnp.asarray(self.scale) * (velocity if self.clock == "time" else 1.0)
         old = jnp.isinf(age)
         x = jnp.where(old, 0, age) / tau
         # of the two slopes at x = 1 that of what follows: a tangent there lies above it
         grown = -jnp.expm1(-x) if self.law == "exponential" else jnp.where(x < 1, jnp.log1p(x) / jnp.log(2.0), 1)
         return jnp.where(old, 1, nu + (1 - nu) * grown)
-
-    def load_scale(self, velocity: Array | float) -> Array:
-        """Convert τ to load."""
-        return jnp.asarray(self.scale) * (velocity if self.clock == "time" else 1.0)
 
 
 LAST_PLACES = 4

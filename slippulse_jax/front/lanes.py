@@ -64,7 +64,7 @@ class Lane(NamedTuple):
 
 
 class State(NamedTuple):
-    """State of the front of a lane, which has passed contacts 0 … position − 1."""
+    """State of a front past contacts 0 … position − 1."""
 
     stress: Pair  # Z_m, in σ_s
     reflected: tuple[Number, Number, Number]  # Q_11, Q_12 = Q_21, Q_22
@@ -112,7 +112,7 @@ def arrest_kernel(most: int) -> Kernel:
 
 @functools.cache
 def gradient_kernel(most: int) -> Kernel:
-    """ℓ of lanes, and its derivative in every field: rows of one array.
+    """ℓ of lanes and its derivative in every field, as rows.
 
     Lanes, and ℓ to rounding, are those of `length_kernel`; NaN is the derivative of what is no number.
     """
@@ -174,7 +174,7 @@ def _given(parameters: Float[Array, "fields lanes"], most: int) -> tuple[tuple[N
 
 
 def _rates(f: Callable[[Any], Any], at: Any, *rates: Any) -> tuple[Any, ...]:
-    """``f(at)``, and its rate of change for each of several rates of `at`."""
+    """``f(at)``, and its rate of change per rate of `at`."""
     return f(at), *(eqx.filter_jvp(f, (at,), (rate,))[1] for rate in rates)
 
 
@@ -220,7 +220,7 @@ def _once(f: Callable[..., Any], *moving: LaneAndFront) -> Any:
 
 
 def _length(arrested: LaneAndFront, end: Float[Array, " lanes"], crossing: Float[Array, " lanes"]) -> Float[Array, " lanes"]:
-    """ℓ: `crossing`; inf where nothing stops the front, NaN where it was given up."""
+    """ℓ from `crossing`; inf where nothing stops, NaN where given up."""
     lane, front = arrested
     ended, going = front.position >= end, _stress_and_excess(lane, front)[1] >= 0
     if lane.end is not None:
@@ -229,7 +229,7 @@ def _length(arrested: LaneAndFront, end: Float[Array, " lanes"], crossing: Float
 
 
 def _rows(length: Float[Array, " lanes"], slopes: list[Any], flat: Any) -> Float[Array, "rows lanes"]:
-    """ℓ and its derivatives, `flat` where no domino starts or nothing stops it."""
+    """ℓ and its derivatives, `flat` where there is no domino or stop."""
     return jnp.stack([length, *(jnp.where(jnp.isfinite(length) & (length > 0), x, flat) for x in slopes)])
 
 
@@ -237,7 +237,7 @@ def _rows(length: Float[Array, " lanes"], slopes: list[Any], flat: Any) -> Float
 
 
 def _begun(given: tuple[Number, ...], right: RightEnd = "semi-infinite", with_edge: bool = False) -> LaneAndFront:
-    """A lane, and its front after contact 0 broke, at its threshold exactly."""
+    """A lane, and its front after contact 0 broke at its threshold."""
     limit, height, stiffness, poisson, *more = given
     prestress, slope, sites, machine = (*more, *[None] * 4)[:4]
     modes = mode_numbers(height, stiffness, poisson, None if sites is None else (right, sites), machine)
@@ -265,12 +265,12 @@ def _turn(now: LaneAndFront) -> LaneAndFront:
 
 
 def _goes(lane: Lane, front: State, excess: Number) -> Bool[Array, "..."]:
-    """Whether the contact ahead breaks, by how far its stress exceeds its threshold."""
+    """Whether the contact ahead breaks, from the excess of its stress."""
     return (excess >= 0) & (front.position < lane.limit)
 
 
 def _stress_and_excess(lane: Lane, front: State) -> Pair:
-    """Stress on the contact ahead, and by how much it exceeds the threshold, in σ_s."""
+    """Stress on the contact ahead, and excess over its threshold, in σ_s."""
     (e1, e2), (z1, z2) = _echo(lane, front.position), front.stress
     threshold, prestress = _contact(lane, front.position)
     stress = prestress + (e1 * z1 + e2 * z2)
@@ -324,7 +324,7 @@ def taken_back(lane: Lane, front: State) -> tuple[State, Number]:
 
 
 def _crossing(arrested: LaneAndFront) -> Number:
-    """ℓ of a front that has stopped, where the curve through its last overloads falls to zero."""
+    """ℓ, where the curve through the last overloads falls to zero."""
     lane, front = arrested
     position, over = front.position, [_stress_and_excess(lane, front)[1]]
     for _ in range(REACHED - 1):

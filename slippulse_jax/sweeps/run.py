@@ -1,4 +1,4 @@
-"""Run a sweep in memory or into a store, here, on a cluster, or lazily."""
+"""Running a sweep: here or on a cluster, in memory, stored, lazy."""
 
 import functools
 import math
@@ -238,7 +238,7 @@ def connected(address: str) -> "Client":
 def _run(
     compute: Callable[[Region], Done], chunks: list[Region], client: "Client | None", progress: bool | None
 ) -> Iterator[tuple[Region, Columns]]:
-    """Compute chunks here or on a cluster, with warnings and a progress bar."""
+    """Compute chunks here or on a cluster, with a progress bar."""
     size = sum(math.prod(shape_of(region)) for region in chunks)
     hidden = None if progress is None else not progress  # by default it is shown on a terminal only
     said: set[str] = set()
@@ -252,7 +252,7 @@ def _run(
 
 
 def _compute(request: Request, store: tuple[dict[str, Any], dict[str, Any]] | None, region: Region) -> Done:
-    """Compute a chunk, or fill it in a store: its attributes and arrays."""
+    """Compute a chunk, or fill it in a store."""
     if store is None:
         return region, evaluate(request, region), set()
     return region, {}, fill(*store, region, lambda: evaluate(request, region))
@@ -279,7 +279,7 @@ def _on_workers(client: "Client", compute: Callable[[Region], Done], chunks: lis
 
 
 def _lazily(request: Request, points: int) -> xr.Dataset:
-    """Make a dataset of dask arrays; outputs of one function are one task."""
+    """Make a dataset of Dask arrays, one task per function and chunk."""
     import dask.array as da
     from dask.array.core import normalize_chunks
 

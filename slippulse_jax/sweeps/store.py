@@ -53,7 +53,7 @@ def is_store(url: str) -> bool:
 
 
 def create(url: str, request: Request, chunk: int, processor: str) -> None:
-    """Create a store in an empty place, unless another process has just created it."""
+    """Create a store in an empty place, unless another process did."""
     files, content = _locate(url)
     documents = _documents(request, chunk, processor)
     try:

@@ -1,7 +1,7 @@
-"""The Appendix: the continuum with the upper layer frozen in its shape at nucleation, u_t = U0 e^{−κ_2 x} (label cra45).
+"""The Appendix: the continuum with a frozen upper layer.
 
-Lengths in λc, displacements in u_s, stresses in σ_s. Valid for λc ≪ H and k ≪ K (ε = κ_T²/κ² ≪ 1); where the paper's
-printed formulas err, the corrected ones are in use.
+It is frozen in its shape at nucleation, u_t = U0 e^{−κ_2 x} (label cra45). Lengths in λc, displacements in u_s, stresses in
+σ_s. Valid for λc ≪ H and k ≪ K (ε = κ_T²/κ² ≪ 1); where the paper's printed formulas err, the corrected ones are in use.
 """
 
 from typing import Any, NamedTuple
@@ -124,7 +124,7 @@ def _stress(slider: Slider, s: Array) -> Array:
 
 
 def _excess(slider: Slider, s: Array) -> Array:
-    """t(s) − 1, term by term: soft interfaces lift t above 1 by as little as b, which t − 1 would lose to rounding."""
+    """t(s) − 1, term by term: differences as small as b survive."""
     k = slider.kappa
     A3, A4 = _a3_start(slider), _a4(slider, jnp.zeros_like(k))
     # contact 0, repinned at u_s, adds q/κ(1+κ) to the 1 it was broken at: A_0 − 1
@@ -135,7 +135,9 @@ def _excess(slider: Slider, s: Array) -> Array:
 
 @jax.jit
 def frozen_stress(slider: Slider, s: Any) -> Float[Array, "..."]:
-    """Stress ũ(s+0; s) = A_3(s) + A_4(s) at the front when it is at s > 0, in σ_s; labels cra46b and cra55, integrated.
+    """Stress at the front at s > 0, in σ_s.
+
+    ũ(s+0; s) = A_3(s) + A_4(s); labels cra46b and cra55, integrated.
 
     Parameters
     ----------
@@ -164,7 +166,10 @@ def length_frozen(slider: Slider) -> Float[Array, "..."]:
 
 @jax.jit
 def length_eq25(slider: Slider) -> Float[Array, "..."]:
-    """The paper's Eq. (25), label cra58b: Λ ≈ κ_2⁻¹ ln{2/[(1 + β − 2κ_2/κ)Ψ_1]}, in λc. For Λ ≫ κ⁻¹, H ≫ λc, k ≪ K."""
+    """Length by the paper's Eq. (25), in λc.
+
+    Label cra58b: Λ ≈ κ_2⁻¹ ln{2/[(1 + β − 2κ_2/κ)Ψ_1]}. For Λ ≫ κ⁻¹, H ≫ λc, k ≪ K.
+    """
 
     def one(slider: Slider) -> Array:
         k, k2 = slider.kappa, slider.kappa_2
@@ -177,16 +182,17 @@ def length_eq25(slider: Slider) -> Float[Array, "..."]:
 
 @jax.jit
 def appendix(slider: Slider) -> Appendix:
-    """Every named quantity of the Appendix, up to Eq. (58). NaN in those that do not exist at this slider."""
+    """Every named quantity of the Appendix; NaN where it does not exist."""
     return Appendix(*each_slider(lambda x: tuple(_appendix(x)), slider))
 
 
 @jax.jit
 def length(slider: Slider) -> Float[Array, "..."]:
-    """Eq. (58), label cra58, corrected: Λ ≈ κ_3⁻¹ ln y with ℬy = (y + C)^α, in λc.
+    """Length by Eq. (58), corrected, in λc.
 
-    It replaces the front stress of `length_frozen` by a function with the right value and slope at the edge and the right
-    tail. For H ≫ λc, k ≪ K. NaN where A_0 ≤ 1 (the front does not start), or where cra57c has no solution κ_3.
+    Label cra58: Λ ≈ κ_3⁻¹ ln y with ℬy = (y + C)^α. It replaces the front stress of `length_frozen` by a function with the
+    right value and slope at the edge and the right tail. For H ≫ λc, k ≪ K. NaN where A_0 ≤ 1 (the front does not start), or
+    where cra57c has no solution κ_3.
 
     Erratum: Ψ_6 (cra54) enters through A_0 and γ.
     """
@@ -216,7 +222,7 @@ def _appendix(slider: Slider) -> Appendix:
     alpha, C = 1 + k2 / k3, (k2 + gamma) / (k3 - gamma)
 
     def excess(p: tuple[Array, Array, Array, Array], s: Array) -> Array:
-        """Logarithm of cra56: ln A_0 + α ln[(1+C)/(y+C)] + ln y, y = e^{κ_3 s}."""
+        """Logarithm of cra56, with y = e^{κ_3 s}."""
         A0, alpha, C, k3 = p
         small = jnp.exp(-k3 * s)
         return jnp.log(A0) + alpha * jnp.log((1 + C) / (1 + C * small)) + (1 - alpha) * k3 * s

@@ -1,6 +1,7 @@
-"""Limits and closed forms: run-away prestress, macroscopic law, edge behind a front, envelope, decay along a block.
+"""Limits and closed forms of lengths and stresses.
 
-Derivations in ``docs/appendix/theory.md``. Lengths in λc unless said otherwise.
+Run-away prestress, macroscopic law, edge behind a front, envelope, decay along a block. Derivations in
+``docs/appendix/theory.md``. Lengths in λc unless said otherwise.
 """
 
 from typing import Any
@@ -33,11 +34,12 @@ EDGE_TERMS = 16
 
 @jax.jit
 def runaway_prestress(slider: Slider) -> Float[Array, "..."]:
-    """φ_c = (1 + G_00)/2: with σ_0/σ_s ≥ φ_c the stress far from the edge settles at φ/φ_c ≥ 1, and nothing stops the front.
+    """φ_c = (1 + G_00)/2, the prestress from which fronts run away.
 
-    G_00 = Σ_m q share_m/(κ_m √(4 + κ_m²)) is the response of an endless lattice to its own pinning point. A soft interface
-    whose domino dies beside the edge never reaches that far stress: there φ ≥ φ_c is necessary, not sufficient
-    (`slippulse_jax.exact_front` decides).
+    With σ_0/σ_s ≥ φ_c the stress far from the edge settles at φ/φ_c ≥ 1, and nothing stops the front. G_00 = Σ_m q
+    share_m/(κ_m √(4 + κ_m²)) is the response of an endless lattice to its own pinning point. A soft interface whose domino
+    dies beside the edge never reaches that far stress: there φ ≥ φ_c is necessary, not sufficient (`slippulse_jax.exact_front`
+    decides).
     """
 
     def one(slider: Slider) -> Array:
@@ -54,13 +56,15 @@ def _numbers(**given: Any) -> list[Array]:
 
 
 def length_ceiling(poisson: Any) -> Float[Array, "..."]:
-    """Largest Λ/H of the macroscopic law, √(2(1+ν)) ln 2, approached as b → ∞."""
+    """Largest Λ/H of the macroscopic law, √(2(1+ν)) ln 2 (b → ∞)."""
     (nu,) = _numbers(poisson=poisson)
     return jnp.sqrt(2 * (1 + nu)) * np.log(2)
 
 
 def macroscopic_length(b: Any, poisson: Any, *, prestress: Any = 0.0) -> Float[Array, "..."]:
-    """Λ/H for λc → 0 at fixed b, self-consistent in the upper layer.
+    """Λ/H for λc → 0 at fixed b.
+
+    Self-consistent in the upper layer.
 
     Parameters
     ----------
@@ -96,7 +100,7 @@ def _macroscopic(b: Array, nu: Array, phi: Array) -> Array:
         beta, released = 1 / (1 + b), b / (1 + b)
 
         def excess(p: tuple[Array, Array, Array], z: Array) -> Array:
-            """(1 + β)(t − 1)/2 from ln t, which keeps small b: 2/(1+β) = 1 + (1−β)/(1+β)."""
+            """(1 + β)(t − 1)/2 from ln t, which keeps small b."""
             beta, released, phi = p
             fall = (z - beta / 2 * jnp.expm1(-2 * z)) / (1 + beta)
             drive = jnp.expm1(jnp.log1p(released / (1 + beta)) - fall)
@@ -115,7 +119,7 @@ def _macroscopic(b: Array, nu: Array, phi: Array) -> Array:
 
 @in_full
 def _held(beta: Array, z: Array) -> Array:
-    """e^{−p(z)} ∫_0^z e^{p(y)} dy, with e^{−g e^{−2y}}, g = β/2(1+β) ≤ 1/4, expanded."""
+    """e^{−p(z)} ∫_0^z e^{p(y)} dy, the factor e^{−g e^{−2y}} expanded (g ≤ 1/4)."""
     g = beta / (2 * (1 + beta))
     terms = exponential_terms(-g)
     rates = 2 * jnp.arange(terms.size, dtype=z.dtype)
@@ -123,7 +127,9 @@ def _held(beta: Array, z: Array) -> Array:
 
 
 def macroscopic_crack_length(b: Any, poisson: Any, friction: Any) -> Float[Array, "..."]:
-    """ℓ/H of the crack-like first precursor for λc → 0 at fixed b, without prestress; NaN outside the domain.
+    """ℓ/H of the crack-like first precursor for λc → 0.
+
+    At fixed b, without prestress; NaN outside the domain.
 
     Parameters
     ----------
@@ -152,10 +158,11 @@ def macroscopic_crack_length(b: Any, poisson: Any, friction: Any) -> Float[Array
 
 
 def macroscopic_correction(b: Any, poisson: Any) -> Float[Array, "..."]:
-    """Coefficient c in Λ/H = `macroscopic_length` + c (H/λc)^{−1/2} + O(λc/H), at fixed b, without prestress.
+    """Coefficient c of the first correction to `macroscopic_length`.
 
-    With g(z) = (1 + βe^{−2z})/(1 + β) at z = κ_2Λ, two effects of the same order: the layer at the edge and the gradient of
-    the stress, both of order κ_2/κ = √(β(1−β)λc/H), and discreteness, of order λcκ = √((1+b)λc/(2(1+ν)H)):
+    Λ/H = `macroscopic_length` + c (H/λc)^{−1/2} + O(λc/H), at fixed b, without prestress. With g(z) = (1 + βe^{−2z})/(1 + β)
+    at z = κ_2Λ, two effects of the same order: the layer at the edge and the gradient of the stress, both of order κ_2/κ =
+    √(β(1−β)λc/H), and discreteness, of order λcκ = √((1+b)λc/(2(1+ν)H)):
 
         g δz = (κ_2/κ) [1 + (1−β)g/(1+β) + β(1−β)/(1+β)² ∫_0^z (1 − e^{−2y}) g dy]
                − λcκ (1−β)/2(1+β) [1 + β/(1+β) (z − (1 − e^{−2z})/2)].
@@ -173,7 +180,9 @@ def macroscopic_correction(b: Any, poisson: Any) -> Float[Array, "..."]:
 
 
 def macroscopic_edge_stress(b: Any) -> Float[Array, "..."]:
-    """Stress on contact 0 behind a front for λc → 0 at fixed b, in σ_s. Neither ν nor a uniform prestress enters.
+    """Stress on contact 0 behind a front (λc → 0), in σ_s.
+
+    At fixed b. Neither ν nor a uniform prestress enters.
 
     Parameters
     ----------
@@ -199,18 +208,20 @@ def macroscopic_edge_stress(b: Any) -> Float[Array, "..."]:
 
 
 def rebreaking_b() -> float:
-    """b* = 3.0872…, beyond which contact 0 breaks again before the front stops, for λc → 0.
+    """b* = 3.0872…, beyond which contact 0 breaks again (λc → 0).
 
-    The root of `macroscopic_edge_stress` = 1. `slippulse_jax.rebreaking_onset` gives it for any H/λc.
+    It does so before the front stops. The root of `macroscopic_edge_stress` = 1; `slippulse_jax.rebreaking_onset` gives it for
+    any H/λc.
     """
     return 3.087225261382635  # a number, because each report of a fit names it; a test holds it to the last digits
 
 
 def block_decay_length(b: ArrayLike, poisson: ArrayLike) -> Float[np.ndarray, "..."]:
-    """Length over which an edge load decays along a block under two-dimensional elasticity, in plane stress, over H.
+    """Decay length of an edge load along a block, over H.
 
-    It is 1/ζ, of the smallest root of b[4 − (1+ν)²ζ² − (3−ν)(1+ν) sin²ζ] = 4(1+ν)ζ(sin ζ cos ζ + ζ): the slowest mode of a
-    strip without normal displacement at its lower edge, free at its upper one. At least 1/π.
+    Under two-dimensional elasticity, in plane stress. It is 1/ζ, of the smallest root of b[4 − (1+ν)²ζ² − (3−ν)(1+ν) sin²ζ] =
+    4(1+ν)ζ(sin ζ cos ζ + ζ): the slowest mode of a strip without normal displacement at its lower edge, free at its upper one.
+    At least 1/π.
     """
     from scipy.optimize.elementwise import find_root  # here, because it takes half a second, and most fits have no block
 
@@ -225,7 +236,9 @@ def block_decay_length(b: ArrayLike, poisson: ArrayLike) -> Float[np.ndarray, ".
 
 @jax.jit
 def envelope_length(slider: Slider) -> Float[Array, "..."]:
-    """A closed formula for Λ, within max(0.4 λc, 1.6 %) of the exact length over H/λc 5–10⁵, k/K 1e-6–1, ν 0–0.5.
+    """A closed formula for Λ.
+
+    Within max(0.4 λc, 1.6 %) of the exact length over H/λc 5–10⁵, k/K 1e-6–1, ν 0–0.5.
 
     Notes
     -----
@@ -238,16 +251,16 @@ def envelope_length(slider: Slider) -> Float[Array, "..."]:
     layer at the edge (2 → 1 from stiff to soft, exactly) as it fades for soft interfaces. The other numbers are fitted.
     Never negative.
     """
-    return each_slider(_envelope, slider)
 
+    def one(slider: Slider) -> Array:
+        k, k2, beta = slider.kappa, slider.kappa_2, slider.beta
+        released = slider.b * beta
+        lattice = released * k / jnp.sqrt(4 + k**2)
+        B = beta + lattice
+        # 2/(1+B) = 1 + (1−B)/(1+B), and 1 − B = (1−β)(1 − κ/√(4+κ²))
+        L = jnp.log1p((released - lattice) / (1 + B))
+        P = k / k2 * (L + beta * (L + jnp.expm1(-2 * L) / 2) / (1 + lattice + beta * jnp.exp(-2 * L)))
+        c = 1.93 - 0.83 * beta
+        return jnp.maximum((P + c * (1 - (1 + 1.15 * P / c) ** -2)) / k - 0.29 - 0.12 * beta, 0)
 
-def _envelope(slider: Slider) -> Array:
-    k, k2, beta = slider.kappa, slider.kappa_2, slider.beta
-    released = slider.b * beta
-    lattice = released * k / jnp.sqrt(4 + k**2)
-    B = beta + lattice
-    # 2/(1+B) = 1 + (1−B)/(1+B), and 1 − B = (1−β)(1 − κ/√(4+κ²))
-    L = jnp.log1p((released - lattice) / (1 + B))
-    P = k / k2 * (L + beta * (L + jnp.expm1(-2 * L) / 2) / (1 + lattice + beta * jnp.exp(-2 * L)))
-    c = 1.93 - 0.83 * beta
-    return jnp.maximum((P + c * (1 - (1 + 1.15 * P / c) ** -2)) / k - 0.29 - 0.12 * beta, 0)
+    return each_slider(one, slider)
