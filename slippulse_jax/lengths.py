@@ -158,7 +158,7 @@ def lengths(
 
 
 def _by_loop(kernel: Kernel, layout: Layout, columns: Lanes, general: Kernel, given: Lanes) -> list[np.ndarray]:
-    """Results of a loop over lanes; of the general recursion where contacts are so stiff that it cannot be run back."""
+    """Results by a loop over lanes; stiff ones by the general recursion."""
     if not np.max(given[1], initial=0) > lanes.STIFFEST:
         return over_lanes(kernel, columns, layout, length_rank)
     stiff, found = given[1] > lanes.STIFFEST, []
@@ -203,7 +203,7 @@ def whole_lengths(slider: Slider, interface: Interface | None, derivatives: int 
 def event_lengths(
     lanes: Float[np.ndarray, "fields n"], kind: Any, front: Float[np.ndarray, " n"], derivatives: int = 0
 ) -> Float[np.ndarray, "rows n"]:
-    """ℓ of whole events; with derivatives in every field at a fixed order of breaks in the rows after it.
+    """ℓ of whole events, and derivatives at a fixed order of breaks.
 
     Beyond an onset of the areal stiffness (`rebreaking_onset`) contact 0 breaks again before the front stops, and others after
     it, the most overloaded next (`slippulse_jax.events.event`), on a chain of which enough sites are resolved. `kind` is the
@@ -233,7 +233,7 @@ def event_lengths(
 def _on_larger_contacts(
     lanes: Float[np.ndarray, "fields n"], kind: Any, front: Float[np.ndarray, " n"], derivatives: int
 ) -> Float[np.ndarray, "rows n"]:
-    """ℓ of events beyond `MOST_SITES`, from those of sliders of the same b on contacts of two larger sizes.
+    """ℓ of events beyond `MOST_SITES`, from larger contacts of two sizes.
 
     The length over that of the front is extrapolated, to some 10⁻⁴, at b = 40 to 10⁻³. Derivatives are those on the smaller of
     the two. NaN where an event runs far beyond its front on large contacts too.
@@ -258,7 +258,7 @@ def _on_larger_contacts(
 
 @functools.cache
 def event_kernel(kind: Any, sites: int, derivatives: int) -> Kernel:
-    """ℓ of a single lane, and its derivatives at the order of its breaks."""
+    """ℓ of one lane, and derivatives at a fixed order of breaks."""
 
     def length(*numbers: Array) -> Array:
         slider, interface, _ = jax.tree.unflatten(kind, numbers)
@@ -272,7 +272,7 @@ def event_kernel(kind: Any, sites: int, derivatives: int) -> Kernel:
 
 @functools.cache
 def general_arrest_kernel(kind: Any, most: int) -> Kernel:
-    """`Arrest` of lanes; `kind` is the tree that turns the numbers of a lane into slider, interface and rule."""
+    """`Arrest` of lanes; `kind` is the tree of a lane."""
 
     def one(lane: Array) -> Arrest:
         slider, interface, _ = jax.tree.unflatten(kind, list(lane))
@@ -283,7 +283,7 @@ def general_arrest_kernel(kind: Any, most: int) -> Kernel:
 
 @functools.cache
 def general_kernel(kind: Any, most: int, derivatives: int) -> Kernel:
-    """ℓ of such lanes; with derivatives an array of rows: ℓ, and its slope in every number."""
+    """ℓ of lanes; with derivatives rows: ℓ, its slope in every number."""
 
     def one(lane: Array) -> Array:
         slider, interface, rule = jax.tree.unflatten(kind, list(lane))
@@ -299,7 +299,7 @@ def _is_simple(slider: Slider) -> bool:
 
 
 def _columns(slider: Slider, interface: Interface | None, more: Any = None) -> tuple[list[Float[np.ndarray, " n"]], Any, Any]:
-    """The numbers of every lane, one array each; the shape of the batch; and the tree that reassembles the arguments."""
+    """Numbers of all lanes, shape of the batch, tree of a lane."""
     check_bulk(interface)
     numbers, kind = jax.tree.flatten((slider, interface, more))
     if any(isinstance(x, Tracer) for x in numbers):
@@ -309,7 +309,7 @@ def _columns(slider: Slider, interface: Interface | None, more: Any = None) -> t
 
 
 def length_rank(lanes: Lanes) -> np.ndarray:
-    """Rank by the leading term of Eq. (25), ln[2/(1+β)]/κ_2, in steps of a thousandth; uint16, which NumPy sorts by digits."""
+    """Rank by ln[2/(1+β)]/κ_2 of Eq. (25), as uint16, sorted by digits."""
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         expected = expected_length(*(field.astype(np.float32) for field in lanes[:3]))
     # the leading bits of a floating-point number are in its own order; from 2^-10 on

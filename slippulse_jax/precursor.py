@@ -128,7 +128,7 @@ def precursor_length(
 
 
 def _whole(slider: Slider, interface: AnyInterface, sites: int | None) -> Array:
-    """Lengths of whole events, on `sites` contacts or as many as each needs."""
+    """Lengths of whole events, on `sites` contacts or as many as needed."""
     if sites is None and not isinstance(interface, Profile) and not is_traced((slider, interface)):
         found = np.asarray(whole_lengths(slider, interface))
         missing = np.where(np.isnan(found), Outcome.LIMIT, Outcome.ARRESTED)
@@ -213,7 +213,7 @@ _counted = jax.jit(arrest)
 
 @partial(jax.jit, static_argnames="sites")
 def _of_front(slider: Slider, interface: AnyInterface, broken: Array, sites: int) -> dict[str, Array]:
-    """Fields of the record of a front that has broken so many contacts."""
+    """Fields of the record of a front that broke some contacts."""
     before, after = (front.front_fields(slider, interface, position=s, sites=sites) for s in (0 * broken, broken))
     modes = lattice_modes(slider)
     threshold, prestress = front.contact_at(modes, interface, 0)

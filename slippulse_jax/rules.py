@@ -21,7 +21,7 @@ WIDTH = Domain(1e-6, 1, "must lie in [1e-6, 1], in σ_s", closed="both")
 
 
 class BreakRule(eqx.Module):
-    """Base of the break rules: how much of a contact breaks when the front reaches it.
+    """Base of break rules: how much of a contact breaks.
 
     Derive a class that defines `broken` and `overloaded_length`, and pass an object of it as ``rule=``. Both methods are called
     with scalars. A field that is a number broadcasts and has derivatives, as `SmoothBreak.width` does; any other field must be
@@ -41,7 +41,7 @@ class BreakRule(eqx.Module):
 
     @abstractmethod
     def broken(self, stress: Array, threshold: Array) -> Array:
-        """Fraction of a contact that breaks under a stress, from 0 to 1; both in σ_s."""
+        """Fraction of a contact, 0 to 1, that breaks; stresses in σ_s."""
 
     @abstractmethod
     def overloaded_length(self, before: Array, after: Array, threshold_before: Array, threshold_after: Array) -> Array:
@@ -51,12 +51,12 @@ class BreakRule(eqx.Module):
         """
 
     def in_domain(self) -> Any:
-        """Whether its numbers, traced ones too, lie in their domains; by default they may be any."""
+        """Whether its numbers, traced ones too, lie in their domains."""
         return True
 
 
 def fraction_broken(rule: BreakRule | None, stress: Array, threshold: Array) -> Array:
-    """Fraction of a contact that breaks; all of it or nothing under the paper's rule."""
+    """Fraction of a contact that breaks, under the paper's rule whole."""
     return (stress >= threshold).astype(stress.dtype) if rule is None else rule.broken(stress, threshold)
 
 
@@ -121,7 +121,7 @@ class SmoothBreak(BreakRule):
 
 
 class SelfHealing(eqx.Module):
-    """The paper's rule with inertia: contacts break at their threshold and repin with zero stretch.
+    """The paper's rule with inertia: contacts repin with zero stretch.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ class CrackLike(eqx.Module):
 
 
 def _mean_sigmoid(a: Array, b: Array) -> Array:
-    """Mean of σ between a and b, which may coincide, and may be as large as 10⁶."""
+    """Mean of σ between a and b, which may coincide."""
     d, m = b - a, (a + b) / 2
     close = jnp.abs(d) < (0.03 if m.dtype == jnp.float64 else 0.3)
     step = jnp.where(close, 1, d)

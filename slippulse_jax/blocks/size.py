@@ -160,7 +160,7 @@ def resolved(given: tuple[Any, ...], sites: int | None, event: Callable[..., Fou
 
 
 def grown(follow: Callable[[Int[np.ndarray, " m"], int], tuple[Any, Any]], sites: Any, most: int) -> list[Any]:
-    """Follow events of many bodies, each on ever more contacts until it stops before the last.
+    """Follow events, each on ever more contacts until it stops.
 
     ``follow(which, sites)`` says of some bodies whether their events stop, and what these are. None of one that runs beyond
     `most` contacts.

@@ -233,7 +233,7 @@ def first_to_break(
     readings: Float[Array, "r N"],
     rises: Callable[..., Float[Array, " N"]] = rises,
 ) -> tuple[Int[Array, ""], Float[Array, ""]]:
-    """Contact that a growing load brings to its threshold first, and that rise.
+    """Contact that a growing load breaks first, and that rise.
 
     The first of equals; inf where none gets there. `rises` tells the rise of the load for each.
     """

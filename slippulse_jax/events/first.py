@@ -36,7 +36,7 @@ ROUNDING = 16
 
 
 class FirstPrecursor(eqx.Module):
-    """The first precursor of one body, and its contacts before and after it.
+    """First precursor of one body: its contacts before and after it.
 
     Lengths are in λc, displacements in u_s, stresses in σ_s.
     """
@@ -60,7 +60,7 @@ class FirstPrecursor(eqx.Module):
 
     @property
     def edge_stress(self) -> Float[Array, ""]:
-        """Stress on contact 0 at arrest, of a front the largest behind it."""
+        """Stress on contact 0 at arrest."""
         return self.stress[0]
 
     def __repr__(self) -> str:

@@ -1,4 +1,4 @@
-"""One pass of a front over a uniform slider, contact after contact, under any break rule.
+"""One pass of a front over a slider, under any break rule.
 
 `front`             the recursion of fixed-size state: its one step, the loop, the run past the arrest
 `arrest`            where and how a front ends: what the doors above call

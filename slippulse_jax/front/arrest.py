@@ -1,4 +1,4 @@
-"""Length, count, status and edge stress of the front of one slider, and its refusals."""
+"""Length, count, status and edge stress of one front, and refusals."""
 
 import functools
 import operator
@@ -28,7 +28,7 @@ AnyArray = Array | np.ndarray
 
 
 class LengthDerivatives(NamedTuple):
-    """Lengths of a batch, and their derivatives in the places of the numbers of the arguments, as of ``jax.grad``.
+    """Lengths of a batch, and their derivatives, in places as of ``jax.grad``.
 
     ``slider.stiffness`` is dℓ/d(k/K), ``slider.length`` dℓ/dN, ``interface.prestress`` dℓ/dφ. All are NumPy float64 of the
     shape of the batch, in λc per unit of the parameter: NaN where the length is not finite, and 0 where no domino starts.
@@ -41,7 +41,7 @@ class LengthDerivatives(NamedTuple):
 
 
 class Arrest(NamedTuple):
-    """Where and how the front ended, or many fronts; of NumPy arrays where computed in bulk."""
+    """Where and how fronts ended; of NumPy arrays in bulk."""
 
     contacts_broken: Int[AnyArray, "..."]
     length: Float[AnyArray, "..."]  # ℓ, in λc
@@ -50,7 +50,7 @@ class Arrest(NamedTuple):
 
 
 class FrontNotArrested(NotConverged):
-    """The front was still running after the allowed number of breaks: there is no length to return."""
+    """The front was given up while it still ran: no length."""
 
 
 def arrest(
@@ -91,7 +91,7 @@ def arrest(
 
 @partial(jax.jit, static_argnames="name")
 def quantity(name: str, slider: Slider, interface: AnyInterface, rule: BreakRule | None = None) -> Array:
-    """One number of the `arrest` of every slider of a batch, or of one slider on a profile.
+    """One number of the `arrest` of every slider, or of one profile.
 
     The length has derivatives of every order in every mode; the other numbers have none.
     """
@@ -110,10 +110,7 @@ def quantity(name: str, slider: Slider, interface: AnyInterface, rule: BreakRule
 
 
 def report_without_length(status: np.ndarray, *, raises: bool, stacklevel: int = 3) -> None:
-    """Raise or warn about fronts that were given up, or whose slider is none.
-
-    As one rounded to single precision may be.
-    """
+    """Raise or warn about fronts that have no length."""
     for kind in (Outcome.LIMIT, Outcome.INVALID):
         lanes = status == kind
         if not lanes.any():

@@ -71,7 +71,7 @@ NEWTON_STEPS = 4
 
 
 class Front(NamedTuple):
-    """State of a front that has passed contacts 0 … position − 1; the leading axis of the first three runs over the modes."""
+    """State of a front; modes are the leading axis of three fields."""
 
     loads: Any  # what loads the contacts ahead: Z_m, counted as `passage` does; or the readings of every contact
     reflected: Any  # Q_mn
@@ -81,17 +81,17 @@ class Front(NamedTuple):
 
 
 def stress_ahead(front: Front, echo: Any = None) -> Any:
-    """Σ_m e_m(s) Z_m, with the leading axis kept; the prestress comes on top."""
+    """Σ_m e_m(s) Z_m, the leading axis kept, without the prestress."""
     return (front.loads if echo is None else echo * front.loads).sum(0, keepdims=True)
 
 
 def advance(guide: Any, front: Front, released: Any, echo: Any = None, start: Any = None) -> Front:
-    """Pass the contact ahead, which gives up the stress `released`: p(t) t of contact s, or a part of it.
+    """Pass the contact ahead, which gives up the stress `released`.
 
-    Multiplying by r_m is written x − (1 − r_m) x: r_m itself, rounded, would be a systematic error of s·10⁻¹⁶. A guide is
-    `Modes`, or anything with a `gap` 1 − r_m and a `weight` w_m; `echo` is e_m(s) of a finite one. `start` is Z_m before
-    contact 0 broke, where `front.loads` holds the change since then: soft interfaces change Z_m by as little as b, of which
-    single precision would lose the digits.
+    That is p(t) t of contact s, or a part of it. Multiplying by r_m is written x − (1 − r_m) x: r_m itself, rounded, would be
+    a systematic error of s·10⁻¹⁶. A guide is `Modes`, or anything with a `gap` 1 − r_m and a `weight` w_m; `echo` is e_m(s) of
+    a finite one. `start` is Z_m before contact 0 broke, where `front.loads` holds the change since then: soft interfaces
+    change Z_m by as little as b, of which single precision would lose the digits.
     """
     gap, Q, reach, edge = guide.gap, front.reflected, front.reach, front.edge
     both = gap[:, None] + gap[None] - gap[:, None] * gap[None]  # 1 − r_m r_n
@@ -107,7 +107,7 @@ def advance(guide: Any, front: Front, released: Any, echo: Any = None, start: An
 
 
 def degree_of(contacts: AnyInterface) -> int:
-    """Degree of the curve on which ℓ ends: a straight line where neighbours differ.
+    """Degree of the curve on which ℓ ends; 1 where neighbours differ.
 
     Elsewhere the overload is an analytic function of the position, and the curve all but coincides with it.
     """
@@ -115,7 +115,7 @@ def degree_of(contacts: AnyInterface) -> int:
 
 
 def end_of_front(position: Any, over: Sequence[Any], degree: Any = REACHED - 1) -> Any:
-    """ℓ, where the polynomial through the overloads of the last contacts reached falls to zero.
+    """ℓ, where the polynomial through the last overloads falls to zero.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ BACKWARD = _backward()
 
 @jax.custom_jvp
 def _last_zero(*coefficients: Array) -> Array:
-    """Zero in [−1, 0] of a polynomial, by ascending powers, that is not negative at −1 and negative at 0."""
+    """Zero in [−1, 0] of a polynomial that there turns negative."""
     first, behind = coefficients[0], _with_slope(coefficients, -1)[0]
     x, low, high = first / (behind - first), jnp.full_like(first, -1), jnp.zeros_like(first)
     for _ in range(NEWTON_STEPS):
@@ -186,16 +186,16 @@ def follow(
     limit: int | Array,
     degree: int = REACHED - 1,
 ) -> tuple[Any, tuple[Array, Array], Array, Array]:
-    """Follow a front until nothing ahead of it breaks, or the contact `limit` is ahead; differentiable forward.
+    """Follow a front until nothing ahead breaks, or contact `limit` is ahead.
 
-    It starts after contact 0 has broken as a whole, and is any state with the `position` of the contact ahead, whose stress and
-    threshold are ``ahead(front)``; ``release(front, part, stress)`` is the front after that part of it has broken, under that
-    stress. Return the front, stress and threshold of the contact ahead of it, the fraction of it that would break, and ℓ, which
-    ends on a curve of that `degree` under the paper's rule.
+    Differentiable forward. It starts after contact 0 has broken as a whole, and is any state with the `position` of the
+    contact ahead, whose stress and threshold are ``ahead(front)``; ``release(front, part, stress)`` is the front after that
+    part of it has broken, under that stress. Return the front, stress and threshold of the contact ahead of it, the fraction
+    of it that would break, and ℓ, which ends on a curve of that `degree` under the paper's rule.
     """
 
     def passed(way: tuple[Array, ...], here: tuple[Array, Array], after: tuple[Array, Array]) -> tuple[Array, ...]:
-        """Overloads of the contacts behind, the nearest first; under a smooth rule the length so far."""
+        """Overloads behind, nearest first; under a smooth rule the length."""
         if rule is None:
             return (here[0] - here[1], *way[:-1])
         return (way[0] + rule.overloaded_length(here[0], after[0], here[1], after[1]),)
@@ -219,12 +219,12 @@ def follow(
 
 
 def rounding(part: Array) -> float:
-    """Fraction of a contact whose breaking is below the rounding error of a length."""
+    """Fraction of a contact that no digit of a length shows."""
     return 1e-4 * float(jnp.finfo(part.dtype).eps)
 
 
 def nucleate(modes: Modes, drive: Any = 1) -> Front:
-    """The front before contact 0 breaks; `drive` is the stress by which it is loaded."""
+    """The front before contact 0, loaded by the stress `drive`, breaks."""
     reach = modes.weight + (modes.echo_factor(0 * modes.load)[:, None] * modes.reflection).sum(0)
     return Front(drive * modes.drive, modes.reflection, reach, jnp.int32(0), 0 * reach[:1])
 
@@ -245,7 +245,7 @@ def contact_at(modes: Modes, contacts: AnyInterface, site: Any) -> tuple[Array, 
 def passage(
     modes: Modes, contacts: AnyInterface = None, rule: BreakRule | None = None
 ) -> tuple[Front, Callable[[Front], tuple[Array, Array]], Callable[[Front, Array, Array], Front]]:
-    """How a front passes over contacts that repin at once: `start`, `ahead` and `release` for `follow`.
+    """How a front passes contacts: `start`, `ahead`, `release` for `follow`.
 
     The paper's rule compares stresses, so they are counted from contact 0 at nucleation, where small changes keep their
     digits. A smooth rule asks for the stress itself, from zero: of its change the rounding would not fade.
@@ -275,7 +275,7 @@ def passage(
 def run_over(
     modes: Modes, loaded: Array, prestress: Float[Array, " n"], part: Callable[..., Any] = lambda stress: 1, *values: Array
 ) -> Float[Array, " n"]:
-    """t(0) … t(n − 1): the stress on each contact once all before it have broken, past the arrest too.
+    """Run a front over contacts, past its arrest: t(0) … t(n − 1).
 
     In reverse mode a derivative in all thresholds and prestresses is one pass back, O(1) per contact.
 
@@ -303,7 +303,7 @@ def run_over(
 
 
 def length_of_run(rule: BreakRule | None, stress: Float[Array, " n"], threshold: Float[Array, " n"]) -> tuple[Array, Array]:
-    """ℓ on a straight line, from the stresses of a run; and whether it has ended.
+    """ℓ on a straight line from a run, and whether it ended.
 
     As of a `Profile`.
     """
@@ -319,10 +319,11 @@ def length_of_run(rule: BreakRule | None, stress: Float[Array, " n"], threshold:
 
 @in_full
 def slip_and_stress(slider: Slider, prestress: Array, position: Array, count: int) -> tuple[Array, Array]:
-    r"""Slip, in u_s, and contact stress, in σ_s, at the first `count` contacts after a front that stopped at `position`.
+    r"""Slip, in u_s, and contact stress, in σ_s, behind a front.
 
-    How far the interfacial layer moved while the front ran, and what each contact carries (label cra06). When the contacts
-    before `position` have broken in turn, pinning points have moved by p_j, and at contact i
+    At the first `count` contacts after a front that stopped at `position`: how far the interfacial layer moved while the front
+    ran, and what each contact carries (label cra06). When the contacts before `position` have broken in turn, pinning points
+    have moved by p_j, and at contact i
 
         slip(i)   = Σ_j G_ij p_j,
         stress(i) = φ + A Σ_m C_m r_m^i + slip(i) − p_i,      A = 1 − φ.
@@ -342,14 +343,14 @@ def slip_and_stress(slider: Slider, prestress: Array, position: Array, count: in
 
 @partial(jax.jit, static_argnames="count")
 def front_stress(modes: Modes, count: int, contacts: AnyInterface = None) -> Float[Array, " count"]:
-    """t(0) … t(count − 1) of contacts that break as a whole and repin at once."""
+    """t(0) … t(count − 1) under the paper's rule."""
     threshold, prestress = contact_at(modes, contacts, jnp.arange(count))
     return run_over(modes, threshold[0], prestress)
 
 
 @partial(jax.jit, static_argnames="sites")
 def front_fields(slider: Slider, interface: AnyInterface = None, *, position: Any, sites: int) -> Fields:
-    """Fields once contacts 0 … position − 1 of a slider have broken.
+    """Fields once the contacts of a slider before `position` have broken.
 
     At the load of nucleation, on the first `sites` contacts: position 0 is nucleation, `contacts_broken` is arrest. Those of
     `slippulse_jax.exact.front.exact_fields`, by the recursion.
@@ -369,7 +370,7 @@ def runaway_prestress(modes: Modes) -> Array:
 
 
 def slowest_approach(modes: Modes) -> Array:
-    """Slow rate 1 − ρ_2 at which the front stress of a slider settles.
+    """Slow rate 1 − ρ_2 at which the front stress settles.
 
     ρ solves (ρ − r_1)(ρ − r_2) = w_1 r_1 (ρ − r_2) + w_2 r_2 (ρ − r_1). Two modes only: with n it is an eigenvalue of an n × n
     matrix, which has no closed form for a loop to carry.
@@ -382,7 +383,7 @@ def slowest_approach(modes: Modes) -> Array:
 
 
 def never_stops_after(modes: Modes, contacts: AnyInterface, rule: BreakRule | None = None) -> Array:
-    """Breaks after which a front that is still running never stops; inf where every front stops. Lanes last."""
+    """Breaks after which a front never stops; inf if all stop."""
     if contacts is None:
         return jnp.full_like(modes.load, jnp.inf)
     if isinstance(contacts, Interface):

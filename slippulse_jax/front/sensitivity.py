@@ -20,7 +20,7 @@ from slippulse_jax.slider import Slider, check_endless
 
 
 class Sensitivity(NamedTuple):
-    """Of a first precursor on a semi-infinite interface, site by site over the first `sites` contacts."""
+    """Length of a first precursor, and what each contact does to it."""
 
     length: Float[Array, ""]  # ℓ, or ℓ_w, in λc
     stress: Float[Array, " sites"]  # t_s as the front reaches contact s, in σ_s
