@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from slippulse_jax.base.choices import EventKind
 from slippulse_jax.base.domains import Domain, check_choice, check_kind
 from slippulse_jax.base.status import Outcome
-from slippulse_jax.blocks.size import ONE_BY_ONE, coarser, extrapolated, grown
+from slippulse_jax.blocks.size import ONE_BY_ONE, coarser, extrapolated, trials
 from slippulse_jax.bodies.modes import FARTHEST
 from slippulse_jax.bodies.response import MOST_SITES
 from slippulse_jax.bulk.chunks import Kernel, Lanes, Layout, over_lanes
@@ -216,17 +216,13 @@ def event_lengths(
         resolved = ended.copy()
         Domain(1, MOST_SITES, f"of an event a whole number up to {MOST_SITES}", closed="high").check("Slider.length", ended)
 
-    def follow(here: np.ndarray, sites: int) -> tuple[np.ndarray, np.ndarray]:
-        (rows,) = over_lanes(event_kernel(kind, sites, derivatives), lanes[:, here], ONE_BY_ONE)
-        return (ended is not None) | ~np.isinf(rows[0]), rows.T
-
-    found = grown(follow, resolved, MOST_SITES)
-    far = np.array([one is None for one in found])
-    rows = np.empty((1 + derivatives * len(lanes), lanes.shape[1]))
-    if far.any():
-        rows[:, far] = _on_larger_contacts(lanes[:, far], kind, front[far], derivatives)
-    for i in np.flatnonzero(~far):
-        rows[:, i] = found[i]
+    rows, waiting = np.full((1 + derivatives * len(lanes), lanes.shape[1]), np.nan), np.isfinite(resolved)
+    for sites in trials(FEW_SITES, MOST_SITES) if ended is None else np.unique(resolved).astype(int):
+        here = np.flatnonzero(waiting & (resolved <= sites))
+        rows[:, here] = over_lanes(event_kernel(kind, int(sites), derivatives), lanes[:, here], ONE_BY_ONE)[0]
+        waiting[here] = np.isinf(rows[0, here]) & (ended is None)
+    if waiting.any():
+        rows[:, waiting] = _on_larger_contacts(lanes[:, waiting], kind, front[waiting], derivatives)
     return rows
 
 

@@ -1,5 +1,6 @@
 """The first precursor: its length, and the full record."""
 
+import contextlib
 import functools
 import math
 import warnings
@@ -21,6 +22,7 @@ from slippulse_jax.base.units import at_least_single
 from slippulse_jax.block import Block
 from slippulse_jax.blocks import size
 from slippulse_jax.bodies.modes import lattice_modes
+from slippulse_jax.bodies.response import MOST_SITES
 from slippulse_jax.bulk.derivatives import under_grad_too
 from slippulse_jax.bulk.double import is_traced
 from slippulse_jax.events import first
@@ -28,7 +30,7 @@ from slippulse_jax.events.first import FirstPrecursor
 from slippulse_jax.front import front
 from slippulse_jax.front.arrest import arrest, quantity, report_without_length
 from slippulse_jax.interface import AnyInterface, Interface, Profile
-from slippulse_jax.lengths import whole_lengths
+from slippulse_jax.lengths import ROOM, whole_lengths
 from slippulse_jax.rules import BreakRule, check_rule
 from slippulse_jax.slider import Slider
 
@@ -129,19 +131,23 @@ def precursor_length(
 
 def _whole(slider: Slider, interface: AnyInterface, sites: int | None) -> Array:
     """Lengths of whole events, on `sites` contacts or as many as needed."""
-    if sites is None and not isinstance(interface, Profile) and not is_traced((slider, interface)):
-        found = np.asarray(whole_lengths(slider, interface))
+    numbers, kind = jax.tree.flatten((slider, interface))
+    shape = () if isinstance(interface, Profile) else np.broadcast_shapes(*map(np.shape, numbers))
+    on = under_grad_too(partial(size.resolved, sites=sites, event=partial(first.length, kind="full")))
+    if sites is None and not isinstance(interface, Profile) and not is_traced(numbers):
+        if not shape and ROOM * quantity("length", slider, interface) <= MOST_SITES:
+            with contextlib.suppress(size.NotFollowed):
+                return on(slider, interface)
+        found = np.asarray(whole_lengths(slider, interface))  # in bulk; or on larger contacts, or without a length
         missing = np.where(np.isnan(found), Outcome.LIMIT, Outcome.ARRESTED)
         report_without_length(missing, raises=found.ndim == 0, stacklevel=4)
         return jnp.asarray(found)
-    numbers, kind = jax.tree.flatten((slider, interface))
-    on = under_grad_too(partial(size.resolved, sites=sites, event=partial(first.length, kind="full")))
-    if isinstance(interface, Profile) or not (shape := np.broadcast_shapes(*map(np.shape, numbers))):
-        return on((slider, interface))
+    if not shape:
+        return on(slider, interface)
     lanes = [jnp.broadcast_to(x, shape).ravel() for x in numbers]
     if sites is None:  # each has a number of its own
-        return jnp.stack([on(jax.tree.unflatten(kind, one)) for one in zip(*lanes, strict=True)]).reshape(shape)
-    return jax.vmap(lambda *one: on(jax.tree.unflatten(kind, one)))(*lanes).reshape(shape)
+        return jnp.stack([on(*jax.tree.unflatten(kind, one)) for one in zip(*lanes, strict=True)]).reshape(shape)
+    return jax.vmap(lambda *one: on(*jax.tree.unflatten(kind, one)))(*lanes).reshape(shape)
 
 
 def first_precursor(

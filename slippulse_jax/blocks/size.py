@@ -10,7 +10,7 @@ Many blocks are one `Block` of arrays (`many`), and an `Interface` of arrays as 
 import dataclasses
 import functools
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any, TypeVar
 
@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.core import Tracer
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from slippulse_jax.base.choices import EventKind
 from slippulse_jax.base.status import NotConverged, Outcome
@@ -91,7 +91,7 @@ def first_precursor(body: Any, interface: AnyInterface, sites: int | None, kind:
 
 
 def _record(body: Any, interface: AnyInterface, sites: int | None, kind: EventKind) -> FirstPrecursor:
-    found = resolved((body, interface), sites, partial(first.record, kind=kind))
+    found = resolved(body, interface, sites=sites, event=partial(first.record, kind=kind))
     if isinstance(interface, Profile) or not _is_tall(body, sites):
         return found
     return dataclasses.replace(found, length=tall_length(body, interface, kind)[0])  # one number, as `precursor_length` has it
@@ -101,24 +101,19 @@ def precursor_length(
     body: Any, interface: AnyInterface, sites: int | None, rule: BreakRule | None, kind: EventKind
 ) -> Float[Array, ""]:
     """ℓ of one body by its contacts: see `slippulse_jax.precursor_length`."""
-    found = under_grad_too(partial(_length, sites=sites, kind=kind))(body, interface, rule)
+    tall = rule is None and not isinstance(interface, Profile) and _is_tall(body, sites)
+    of_tall = lambda body, interface, _: tall_length(body, interface, kind)[0]  # noqa: E731
+    one = of_tall if tall else partial(resolved, sites=sites, event=partial(first.length, kind=kind))
+    found = under_grad_too(one)(body, interface, rule)
     _warn_of_few_sites(body, sites, found)
     if not isinstance(found, Tracer) and np.isnan(found):
-        tall = not isinstance(interface, Profile) and _is_tall(body, sites)  # which would have raised for any other reason
-        status = Outcome.LIFT_OFF if tall else in_double(_record)(body, interface, sites, kind).status
-        if status != Outcome.LIFT_OFF:
-            raise _without_length(body, interface, status)
+        record = in_double(_record)(body, interface, sites, kind)
+        if rule is not None and record.first:
+            begins = f"this event begins at contact {int(record.first)}"
+            raise ValueError(f"rule = {rule!r}: a smooth front runs from the edge, and {begins}")
+        if record.status != Outcome.LIFT_OFF and not tall:  # of a tall one nothing else is NaN
+            raise _without_length(body, interface, record.status)
         warnings.warn(f"{body}: {Outcome.LIFT_OFF.message}", RuntimeWarning, stacklevel=4)
-    return found
-
-
-def _length(body: Any, interface: AnyInterface, rule: BreakRule | None, sites: int | None, kind: EventKind) -> Float[Array, ""]:
-    if rule is None and not isinstance(interface, Profile) and _is_tall(body, sites):
-        return tall_length(body, interface, kind)[0]
-    found = resolved((body, interface, rule), sites, partial(first.length, kind=kind))
-    if rule is not None and not isinstance(found, Tracer) and np.isnan(found):
-        begins = int(resolved((body, interface), sites, partial(first.record, kind=kind)).first)
-        raise ValueError(f"rule = {rule!r}: a smooth front runs from the edge, and this event begins at contact {begins}")
     return found
 
 
@@ -130,7 +125,7 @@ def _is_tall(body: Any, sites: int | None) -> bool:
 Found = TypeVar("Found", Array, FirstPrecursor)
 
 
-def resolved(given: tuple[Any, ...], sites: int | None, event: Callable[..., Found]) -> Found:
+def resolved(*given: Any, sites: int | None, event: Callable[..., Found]) -> Found:
     """Compute an event on the contacts that it needs.
 
     A record or length of body, interface and rule: on `sites` contacts, all there are, or enough for it to stop.
@@ -146,34 +141,18 @@ def resolved(given: tuple[Any, ...], sites: int | None, event: Callable[..., Fou
             contacts = max(FEWEST_CONTACTS, 1 << (contacts - 1).bit_length())
         return event(*given, sites=contacts)
     reach = min(int(np.ceil(body.height)), FIRST_TRIAL)
-    first_trial = max(FEWEST_CONTACTS, 1 << (reach - 1).bit_length())
-
-    def follow(_: Any, sites: int) -> tuple[list[bool], list[Found]]:
-        found = event(*given, sites=sites)
-        length = known(found.length if isinstance(found, FirstPrecursor) else found, NO_SITES)
-        return [not np.isposinf(length)], [found]
-
-    (found,) = grown(follow, [first_trial], most)
-    if found is None:  # under a wide smooth rule for ever
-        raise NotFollowed(body, f"reaches beyond {most} contacts")
-    return found
+    for count in trials(max(FEWEST_CONTACTS, 1 << (reach - 1).bit_length()), most):
+        found = event(*given, sites=count)
+        if not np.isposinf(known(found.length if isinstance(found, FirstPrecursor) else found, NO_SITES)):
+            return found
+    raise NotFollowed(body, f"reaches beyond {most} contacts")  # under a wide smooth rule for ever
 
 
-def grown(follow: Callable[[Int[np.ndarray, " m"], int], tuple[Any, Any]], sites: Any, most: int) -> list[Any]:
-    """Follow events, each on ever more contacts until it stops.
-
-    ``follow(which, sites)`` says of some bodies whether their events stop, and what these are. None of one that runs beyond
-    `most` contacts.
-    """
-    found, waiting = [None] * len(sites), np.asarray(sites, float)
-    while (waiting <= most).any():
-        count = int(waiting.min())
-        here = np.flatnonzero(waiting == count)
-        stops, events = follow(here, count)
-        for lane, stopped, event in zip(here, stops, events, strict=True):
-            found[lane] = event if stopped else None
-        waiting[here] = np.where(stops, np.inf, MORE_SITES * count)
-    return found
+def trials(contacts: int, most: int) -> Iterator[int]:
+    """Numbers of contacts to follow an event on, until it stops before the last."""
+    while contacts <= most:
+        yield contacts
+        contacts *= MORE_SITES
 
 
 def _warn_of_few_sites(body: Any, sites: int | None, length: Array) -> None:

@@ -4,7 +4,6 @@ For functions of few parameters; for zero crossings, as implicit functions; and 
 differentiated.
 """
 
-import functools
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NoReturn
@@ -18,7 +17,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from slippulse_jax.bulk.compiler import in_full
-from slippulse_jax.bulk.double import IN_DOUBLE, as_type, in_double, is_traced
+from slippulse_jax.bulk.double import IN_DOUBLE, as_type, in_double
 
 Function = Callable[..., Float[Array, "..."]]
 
@@ -62,17 +61,15 @@ def by_forward_mode(f: Function, first: Callable[[Function], Function] = with_ja
     depends on it alone is computed once. `first` computes the first derivatives: `with_gradient` where `f` has a reverse mode.
     `held` is a tree of arrays, which `f` takes first, and in which it is not differentiated.
     """
-    of_held = f if held is not None else lambda _, *arguments: f(*arguments)
-    differentiable = jax.custom_jvp(of_held)
+    differentiable, start = jax.custom_jvp(f), 0 if held is None else 1
 
     @differentiable.defjvp
     @in_full
     def _rule(primals, tangents):  # pyright: ignore[reportUnusedFunction]
-        held, *given = primals
-        both = by_forward_mode(lambda held, *x: first(partial(of_held, held))(*x), held=held or ())(*given)
-        return both[..., 0], both[..., 1:] @ jnp.concatenate([jnp.ravel(x) for x in tangents[1:]])
+        both = by_forward_mode(lambda held, *x: first(partial(f, *held))(*x), held=primals[:start])(*primals[start:])
+        return both[..., 0], both[..., 1:] @ jnp.concatenate([jnp.ravel(x) for x in tangents[start:]])
 
-    return partial(differentiable, held)
+    return differentiable if held is None else partial(differentiable, held)
 
 
 def known(given: Any, why: str) -> Any:
@@ -86,10 +83,7 @@ def known(given: Any, why: str) -> Any:
 def under_grad_too(function: Callable[..., Array]) -> Callable[..., Array]:
     """As `in_double`, of an array, and under ``grad`` in single precision."""
 
-    @functools.wraps(function)
-    def computed(*given: Any) -> Array:
-        if jax.config.jax_enable_x64 or not is_traced(given):  # pyright: ignore[reportAttributeAccessIssue]
-            return in_double(function)(*given)
+    def traced(*given: Any) -> Array:
         known(given, IN_DOUBLE)
         moving, held = eqx.partition(given, lambda x: isinstance(x, Tracer) and jnp.issubdtype(x.dtype, jnp.floating))
         numbers, tree = jax.tree.flatten(moving)
@@ -102,7 +96,7 @@ def under_grad_too(function: Callable[..., Array]) -> Callable[..., Array]:
 
         return by_forward_mode(one)(*numbers)
 
-    return computed
+    return in_double(function, traced)
 
 
 def without_derivative(f: Callable[..., Any], why: str, static_argnums: tuple[int, ...] = ()) -> Callable[..., Any]:

@@ -15,17 +15,20 @@ IN_DOUBLE = "a block needs double precision: work under jax.enable_x64(True)"
 Computed = TypeVar("Computed", bound=Callable)
 
 
-def in_double(function: Computed) -> Computed:
+def in_double(function: Computed, traced: Callable | None = None) -> Computed:
     """Compute a function in double precision, whatever the JAX flags.
 
-    Results are in the caller's precision. A ValueError if an argument is traced while JAX is in single precision.
+    Results are in the caller's precision. Where an argument is traced while JAX is in single precision `traced` takes its
+    place; without it that is a ValueError.
     """
 
     @functools.wraps(function)
     def computed(*given: Any) -> Any:
         single = not jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
         if single and is_traced(given):
-            raise ValueError(f"under jit, vmap and grad {IN_DOUBLE}")
+            if traced is None:
+                raise ValueError(f"under jit, vmap and grad {IN_DOUBLE}")
+            return traced(*given)
         with jax.enable_x64(True):
             found = function(*jax.tree.map(lambda x: as_type(x, np.float64), given))
             return jax.tree.map(lambda x: as_type(x, np.float32), found) if single else found

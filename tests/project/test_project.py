@@ -266,11 +266,19 @@ PATHS = {  # a call, the function whose body holds the line, and the most frames
         7,
     ),
     "rupture": (lambda: sp.rupture(sp.chain(sp.Slider(25.0, 0.03, 0.3), sites=23)), "column", 10),
+    "whole event": (lambda: sp.precursor_length(sp.Slider(21.0, 0.1, 0.3, length=87), event="full"), "column", 11),
+    "block": (
+        lambda: sp.precursor_length(sp.Block(24.0, 0.03, 0.3, sp.Push(0.25, 0.1), length=72, friction=0.29)),
+        "column",
+        11,
+    ),
 }
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("name", ["precursor_length", pytest.param("rupture", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", ["precursor_length", "whole event", *(pytest.param(x, marks=pytest.mark.slow) for x in ("rupture", "block"))]
+)
 def test_a_newcomer_reaches_the_physics_in_few_frames(name):
     """From the public function to the line that computes ℓ, and to the line where a break hands its stress on."""
     call, target, most = PATHS[name]
