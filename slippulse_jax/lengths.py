@@ -219,8 +219,9 @@ def event_lengths(
     rows, waiting = np.full((1 + derivatives * len(lanes), lanes.shape[1]), np.nan), np.isfinite(resolved)
     for sites in trials(FEW_SITES, MOST_SITES) if ended is None else np.unique(resolved).astype(int):
         here = np.flatnonzero(waiting & (resolved <= sites))
-        rows[:, here] = over_lanes(event_kernel(kind, int(sites), derivatives), lanes[:, here], ONE_BY_ONE)[0]
-        waiting[here] = np.isinf(rows[0, here]) & (ended is None)
+        if here.size:
+            rows[:, here] = over_lanes(event_kernel(kind, int(sites), derivatives), lanes[:, here], ONE_BY_ONE)[0]
+            waiting[here] = np.isinf(rows[0, here]) & (ended is None)
     if waiting.any():
         rows[:, waiting] = _on_larger_contacts(lanes[:, waiting], kind, front[waiting], derivatives)
     return rows
