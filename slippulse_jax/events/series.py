@@ -379,7 +379,7 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
             name: lax.dynamic_update_index_in_dim(column, row[name].astype(column.dtype), place, 0)
             for name, column in now.rows.items()
         },
-        order=now.order if found.order is None else found.order,
+        order=found.order,
     )
 
 
