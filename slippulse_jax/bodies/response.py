@@ -15,17 +15,7 @@ from jax import lax
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float
 
-from slippulse_jax.bodies.chain import (
-    Chain,
-    Pair,
-    Springs,
-    beside,
-    carried_over,
-    eliminate,
-    held_from_left,
-    in_series,
-    solve_pair,
-)
+from slippulse_jax.bodies.chain import Chain, Pair, Springs, beside, carried_over, eliminate, pass_site, solve_pair
 from slippulse_jax.bulk.compiler import lane_by_lane
 
 MOST_SITES = 2**12
@@ -61,23 +51,16 @@ def propagators(chain: Chain, beyond: Springs) -> tuple[Float[Array, "N 2 2"], F
     per force on its interfacial layer, u[0] per u_t[0], and the force on u_t[0] per u_t[0], in K.
     """
     site = beside(beyond, chain.across, chain.contact)
-
-    def step(near: Springs, here: tuple) -> tuple[Springs, Springs]:
-        bond, across, contact = here
-        seen = in_series(bond, beside(near, across, contact))
-        return seen, seen
-
     # u_t[0] is held: from site 1 the upper layer ends in a wall, the interfacial layer in site 0
     ground = chain.across[0] + chain.contact[0]
     share = chain.layer[0] / jnp.where(chain.layer[0] + ground > 0, chain.layer[0] + ground, jnp.inf)
     first = Springs(chain.upper[0], share * ground, jnp.zeros_like(ground))
     bonds = (chain.upper[1:], chain.layer[1:])
-    _, rest = lax.scan(step, first, (bonds, chain.across[1:-1], chain.contact[1:-1]))
+    _, rest = lax.scan(pass_site, first, (bonds, chain.across[1:-1], chain.contact[1:-1]))
     none = Springs(*(jnp.zeros_like(ground),) * 3)
     behind = Springs(*(jnp.concatenate([n[None], f[None], r]) for n, f, r in zip(none, first, rest, strict=True)))
 
-    over = carried_over(held_from_left(chain, site), (chain.upper, chain.layer))
-    right = jnp.stack([jnp.stack(column, -1) for column in over], -1)
+    right = jnp.stack([jnp.stack(column, -1) for column in carried_over(chain, site)], -1)
     whole = Springs(*(a + b for a, b in zip(behind, site, strict=True)))
     source = jnp.stack(solve_pair(whole, (jnp.zeros_like(ground), jnp.ones_like(ground))), -1)
     stiff = site.layer[0] + site.across[0]

@@ -210,10 +210,6 @@ def _simulate(
         v = (jnp.where(sites == 0, velocity, keep * now.v[0]), keep * now.v[1])
         return now._replace(v=v, damped=now.damped + kinetic(now.v) - kinetic(v))
 
-    def push(now: MotionState) -> Array:
-        """Force that holds the left edge."""
-        return -now.pull[0][0]
-
     def verlet(now: MotionState) -> MotionState:
         v = (now.v[0] + held * now.pull[0] * dt / (2 * mass[0]), now.v[1] + now.pull[1] * dt / 2)
         x = (now.x[0] + dt * v[0], now.x[1] + dt * v[1])
@@ -223,7 +219,7 @@ def _simulate(
         pull = forces(chain, pinning, x)
         v = (v[0] + held * pull[0] * dt / (2 * mass[0]), v[1] + pull[1] * dt / 2)
         after = now._replace(x=x, v=v, pull=pull, pinning=pinning, n=now.n + 1, since=now.since + dt)
-        work = now.work + (push(now) + push(after)) / 2 * velocity * dt
+        work = now.work - (now.pull[0][0] + pull[0][0]) / 2 * velocity * dt  # of the force that holds the left edge
         return after._replace(work=work, rubbed=now.rubbed + k * friction * moved.sum())
 
     def break_those(now: MotionState, those: Array) -> MotionState:

@@ -129,11 +129,8 @@ def rupture(
     check_whole("repin_delay", repin_delay, 0)
     if max_breaks is not None:
         check_whole("max_breaks", max_breaks, 1)
-    if (
-        trigger is not None
-        and not isinstance(trigger, Tracer)
-        and not (np.ndim(trigger) == 0 and np.asarray(trigger).item() in range(-1, chain.sites))
-    ):
+    sites = range(-1, chain.sites)
+    if not isinstance(trigger, Tracer | None) and (np.ndim(trigger) or np.asarray(trigger).item() not in sites):
         raise ValueError(f"trigger = {trigger!r}: must be one of the sites 0 … {chain.sites - 1}, or −1 for none")
     none_given = CLOSEST if rule is None else -1
     first = trigger.astype(jnp.int32) if isinstance(trigger, Tracer) else np.int32(none_given if trigger is None else trigger)
