@@ -70,7 +70,7 @@ def responses(sites):
     def green(height):
         body = chain(sites, height)
         resp = of_chain(body, eliminate(body, body.contact))
-        return jax.vmap(resp.column)(np.arange(sites))[:, 0]
+        return resp.matrix[:, 0]
 
     return jax.jit(green)
 

@@ -82,13 +82,8 @@ def interval(piece: Any, near: float | None = None, width: float = 0.0) -> str:
     """
     low, high, open_low, open_high = piece
     if open_low or open_high:
-        return (
-            "unbounded"
-            if open_low and open_high
-            else f"below {format_number(high)}"
-            if open_low
-            else f"above {format_number(low)}"
-        )
+        one_sided = f"below {format_number(high)}" if open_low else f"above {format_number(low)}"
+        return "unbounded" if open_low and open_high else one_sided
     exponent = exponent_of(low if near is None else near)
     if not -3 <= _power(max(abs(low), abs(high))) - exponent <= 3:  # far from the value, as at the second root
         exponent, width = exponent_of(high), 0.0

@@ -24,7 +24,7 @@ from slippulse_jax.blocks.guide import Edge, Guide, Slab
 from slippulse_jax.blocks.pressed import under_pressure
 from slippulse_jax.bodies.response import of_matrix
 from slippulse_jax.bulk.double import in_double
-from slippulse_jax.events.first import Relaxed, first_event, nucleated
+from slippulse_jax.events.first import Relaxed, event_from, nucleated
 from slippulse_jax.interface import AnyInterface, Profile
 
 
@@ -122,7 +122,7 @@ def stages(
     guide, modulus = guide_of(block), 1 / (2 * (1 + jnp.asarray(block.poisson)) * jnp.asarray(block.stiffness))
 
     def at(limit: Array) -> tuple[Array, Array, Array]:
-        now = first_event(body, limit, kind)[0]
+        now = event_from(start, body, kind, limit)
         readings = jnp.where(limit > 0, now.readings, start.readings)
         pressure = readings[1] if len(readings) > 1 else per_stress
         field = _fields(block, start.load, jnp.where(limit > 0, now.released, 0), guide)

@@ -113,16 +113,13 @@ def inverse_of_definite(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     return inverse_without_pivots(matrix)
 
 
-@inverse.defjvp
-def _inverse_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+def _inverse_jvp(inverse: Callable[[Array], Array], primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
     found = inverse(primals[0])
     return found, -found @ tangents[0] @ found
 
 
-@inverse_of_definite.defjvp
-def _inverse_of_definite_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-    found = inverse_of_definite(primals[0])
-    return found, -found @ tangents[0] @ found
+inverse.defjvp(partial(_inverse_jvp, inverse))
+inverse_of_definite.defjvp(partial(_inverse_jvp, inverse_of_definite))
 
 
 @jax.custom_jvp
@@ -232,25 +229,14 @@ def _driving_point_jvp(along: Along, primals: tuple[Slab], tangents: tuple[Slab]
     T = -inverse_of_definite(X + slab.right) @ slab.across.T
     across = change.across @ T
     F = change.left + across + across.T + T.T @ change.right @ T
-    return X, lax.custom_linear_solve(
-        lambda sum: sum - T.T @ sum @ T, F, lambda _, F: _sum_along(T, F), lambda _, F: _sum_along(T.T, F)
-    )
-
-
-def _sum_along(T: Float[Array, "n n"], F: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """Sum of (Tᵀ)^m F T^m."""
-    return _by_doubling(T, F, lambda power, sum: power.T @ sum @ power)
-
-
-def _over_columns(T: Float[Array, "n n"], first: Float[Array, " n"]) -> Float[Array, " n"]:
-    """Sum of T^m times the displacement of the first column."""
-    return lax.custom_linear_solve(
-        lambda sum: sum - T @ sum, first, lambda _, x: _by_doubling(T, x, jnp.dot), lambda _, x: _by_doubling(T.T, x, jnp.dot)
-    )
+    return X, _by_doubling(T, F, lambda power, sum: power.T @ sum @ power)
 
 
 def _by_doubling(T: Float[Array, "n n"], first: Array, carried: Callable[[Array, Array], Array]) -> Array:
-    """Sum over m of what T^m carries on, by doubling the terms."""
+    """Sum over m of what T^m carries on, by doubling the terms; differentiable."""
+
+    def summed(T: Float[Array, "n n"], first: Array) -> Array:
+        return lax.while_loop(felt, twice, (T, first, jnp.int32(0)))[1]
 
     def felt(state: tuple[Array, Array, Array]) -> Array:
         power, _, count = state
@@ -260,7 +246,9 @@ def _by_doubling(T: Float[Array, "n n"], first: Array, carried: Callable[[Array,
         power, total, count = state
         return power @ power, total + carried(power, total), count + 1
 
-    return lax.while_loop(felt, twice, (T, first, jnp.int32(0)))[1]
+    return lax.custom_linear_solve(
+        lambda sum: sum - carried(T, sum), first, lambda _, x: summed(T, x), lambda _, x: summed(T.T, x)
+    )
 
 
 def edge(layers: Slab, displaced: Float[Array, " n"], force: Float[Array, " n"]) -> Edge:
@@ -343,15 +331,6 @@ def _power(T: Float[Array, "n n"], exponent: Int[Array, ""]) -> Float[Array, "n 
     return lax.scan(next_bit, (T, jnp.eye(len(T), dtype=T.dtype)), every)[0][1]
 
 
-def contact_readings(guide: Guide, sites: int) -> Float[Array, "N r n"]:
-    """q_0 … q_{N−1} of the uniform guide, which begins at column 1."""
-    slab, T = guide.slab, guide.transfer
-    first = slab.reading_left + slab.reading_right @ T
-    return jnp.concatenate(
-        [slab.reading_right[None], _carried(T, jnp.zeros((sites - 1, *first.shape), T.dtype).at[0].set(first))]
-    )
-
-
 @jax.custom_jvp
 def _carried(T: Float[Array, "n n"], given: Float[Array, "N r n"]) -> Float[Array, "N r n"]:
     """Rows that T carries from column to column, adding what is `given`."""
@@ -373,7 +352,10 @@ def compliance(
     A, of shape (sites, sources, read, sites), is the reading per force, that of the source first; t the reading per load. With
     so many of the readings, and of those along which forces act. On one that ends, `sites` cover all; both are 0 beyond.
     """
-    slab, q = guide.slab, contact_readings(guide, sites)[:, :read]
+    slab, T = guide.slab, guide.transfer
+    first = slab.reading_left + slab.reading_right @ T
+    q = _carried(T, jnp.zeros((sites - 1, *first.shape), T.dtype).at[0].set(first))
+    q = jnp.concatenate([slab.reading_right[None], q])[:, :read]  # q_0 … q_{N−1}
     none = jnp.zeros_like(q[:1])
     behind, ahead = jnp.concatenate([none, q[:-1]]), jnp.concatenate([none, q[1:]])
 
@@ -414,7 +396,7 @@ def held_by_all(guide: Guide, t: Float[Array, "r N"]) -> Array:
         return t[0].sum()
     slab, T = guide.slab, guide.transfer
     first = slab.reading_left[0] + slab.reading_right[0] @ T
-    return t[0, 0] + first @ _over_columns(T, guide.pushed)
+    return t[0, 0] + first @ _by_doubling(T, guide.pushed, jnp.dot)
 
 
 def response(guide: Guide, contact: Array, sites: int, relief: Array | None = None) -> Response:

@@ -30,7 +30,6 @@ class Balance(NamedTuple):
 
     load: Array
     stretch: Float[Array, " N"]  # in u_s
-    relief: Float[Array, " N"]  # q
     pressure: Float[Array, " N"]  # π
     force: Float[Array, " 2N"]  # what they fall short of the springs of the uniform pressure
     first: Int[Array, ""]  # contact that reaches its threshold first
@@ -67,16 +66,16 @@ class Pressed(NamedTuple):
         """
         sites, free = threshold.size, pinning - prestress
 
-        def at(z: Array) -> tuple[Array, Array, Array, Array]:
+        def at(z: Array) -> tuple[Array, Array, Array]:
             stretch, q = z[:sites] - free, self.normal * z[sites:]
             fall = self.friction * q
             pressure, none = jnp.exp(-fall), fall == 0
             pull = q * jnp.where(none, 1, -jnp.expm1(-fall) / jnp.where(none, 1, fall))  # (1 − π)/μ, also at μ = 0
-            return stretch, q, pressure, jnp.concatenate([z[:sites] + prestress - pressure * stretch, q - pull])
+            return stretch, pressure, jnp.concatenate([z[:sites] + prestress - pressure * stretch, q - pull])
 
         def linear(z: Array) -> tuple[tuple[Array, Array], Array]:
             """Derivatives D of force in ⟨u_x⟩, ⟨u_y⟩, and (1 − M D)⁻¹."""
-            stretch, _, pressure, _ = at(z)
+            stretch, pressure, _ = at(z)
             less = 1 - pressure
             along, across = jnp.concatenate([less, self.normal * less]), self.normal * self.friction * pressure * stretch
             coupled = self.matrix * along[None]
@@ -85,7 +84,7 @@ class Pressed(NamedTuple):
 
         def step(z: Array, slopes: tuple[Array, Array], solve: Array) -> tuple[Array, Array, Array]:
             along, across = slopes
-            short = (at(z)[3] - along * z).at[:sites].add(-across * z[sites:])
+            short = (at(z)[2] - along * z).at[:sites].add(-across * z[sites:])
             still, moved = solve @ (self.matrix @ short), solve @ self.push
             per_load = moved[:sites]
             first, rise = first_to_break(per_load[None], threshold, (still[:sites] + load * per_load - free)[None], rises)
@@ -105,8 +104,8 @@ class Pressed(NamedTuple):
         found = lax.while_loop(far, search, (step(begin, *near)[0], begin, jnp.int32(0)))[0]
         found = lax.stop_gradient(found)
         z, at_load, first = step(found, *linear(found))
-        stretch, q, pressure, force = at(z)
-        return Balance(at_load, stretch, q, pressure, force, first)
+        stretch, pressure, force = at(z)
+        return Balance(at_load, stretch, pressure, force, first)
 
     def frozen(self, at: Balance) -> Response:
         """What breaks do to the stretches while stiffnesses stay as they are."""

@@ -267,13 +267,18 @@ def solve_pair(springs: Springs, force: Pair) -> Pair:
     )
 
 
-def in_series(bond: Pair, far: Springs) -> Springs:
-    """Reduce `far` and one bond per layer, in series, to three springs."""
-    B, K = bond
+def pass_site(far: Springs, here: tuple[Pair, Array, Array]) -> tuple[Springs, Springs]:
+    """Reduce `far`, a site and one bond per layer to three springs.
+
+    In a scan: `here` are that bond, and what lies across and below the site; the springs are carried on and kept.
+    """
+    (B, K), across, contact = here
+    far = beside(far, across, contact)
     held = Springs(B + far.upper, K + far.layer, far.across)
     upper, layer = solve_pair(held, (far.upper, far.layer))
     det = determinant(held)
-    return Springs(B * upper, K * layer, B * K * far.across / jnp.where(det > 0, det, jnp.inf))
+    seen = Springs(B * upper, K * layer, B * K * far.across / jnp.where(det > 0, det, jnp.inf))
+    return seen, seen
 
 
 def eliminate(chain: Chain, contact: Float[Array, " N"]) -> Springs:
@@ -282,15 +287,8 @@ def eliminate(chain: Chain, contact: Float[Array, " N"]) -> Springs:
     `contact` holds the (tangent) stiffness of every contact. Returns `beyond`, shape (N,): the springs equivalent to everything
     right of each site, with the bond next to it; the last are the chain's end.
     """
-
-    def step(far: Springs, bond_and_site: tuple) -> tuple[Springs, Springs]:
-        B, K, across, contact = bond_and_site
-        seen = in_series((B, K), beside(far, across, contact))
-        return seen, seen
-
     end = Springs(*(jnp.asarray(x, contact.dtype) for x in chain.end))
-    bonds_and_sites = (chain.upper, chain.layer, chain.across[1:], contact[1:])
-    _, beyond = lax.scan(step, end, bonds_and_sites, reverse=True)
+    _, beyond = lax.scan(pass_site, end, ((chain.upper, chain.layer), chain.across[1:], contact[1:]), reverse=True)
     return Springs(*(jnp.append(x, e) for x, e in zip(beyond, end, strict=True)))
 
 
@@ -305,13 +303,13 @@ def held_from_left(chain: Chain, site: Springs) -> Springs:
     return Springs(site.upper[1:] + chain.upper, site.layer[1:] + chain.layer, site.across[1:])
 
 
-def carried_over(held: Springs, bond: Pair) -> tuple[Pair, Pair]:
-    """Displacements of a site per displacement beyond a bond of each layer.
+def carried_over(chain: Chain, site: Springs) -> tuple[Pair, Pair]:
+    """Displacements of sites 1 … N − 1 per displacement of the one before.
 
-    `held` are the springs that hold the site, the bond's included. The first pair is per displacement of the upper layer.
+    The first pair is per displacement of the upper layer.
     """
-    zero = jnp.zeros_like(bond[0])
-    return solve_pair(held, (bond[0], zero)), solve_pair(held, (zero, bond[1]))
+    held, zero = held_from_left(chain, site), jnp.zeros_like(chain.upper)
+    return solve_pair(held, (chain.upper, zero)), solve_pair(held, (zero, chain.layer))
 
 
 def respond(chain: Chain, contact: Array, beyond: Springs, force: Pair) -> Pair:
@@ -322,7 +320,7 @@ def respond(chain: Chain, contact: Array, beyond: Springs, force: Pair) -> Pair:
     """
     site = beside(beyond, chain.across, contact)
     held = held_from_left(chain, site)
-    by_upper, by_layer = carried_over(held, (chain.upper, chain.layer))
+    by_upper, by_layer = carried_over(chain, site)
 
     def collect(arriving: Pair, here: tuple) -> tuple[Pair, Pair]:
         (a, b), (c, d), (f, g) = here

@@ -13,19 +13,9 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.custom_batching import custom_vmap
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
-from slippulse_jax.bodies.chain import (
-    Chain,
-    Pair,
-    Springs,
-    beside,
-    carried_over,
-    eliminate,
-    held_from_left,
-    in_series,
-    solve_pair,
-)
+from slippulse_jax.bodies.chain import Chain, Pair, Springs, beside, carried_over, eliminate, pass_site, solve_pair
 from slippulse_jax.bulk.compiler import lane_by_lane
 
 MOST_SITES = 2**12
@@ -53,56 +43,32 @@ class Response(NamedTuple):
         matrix = self.matrix + stiffness / whole * push[0][:, None, None] * push[None]  # a break lets the pusher move
         return self._replace(matrix=matrix, push=push * spring / whole, edge_stiffness=self.edge_stiffness * spring / whole)
 
-    def column(self, site: Int[Array, ""]) -> Float[Array, "r N"]:
-        """Readings per stress released at a site, its own pinning point apart."""
-        return self.matrix[site]
 
+def propagators(chain: Chain, beyond: Springs) -> tuple[Float[Array, "N 2 2"], Float[Array, "N 2"], Array, Array]:
+    """Compute a chain's propagators, given its elimination from the right end.
 
-class Propagators(NamedTuple):
-    """Maps of the displacements (u_t, u) from site to site.
-
-    Their shapes are (N, 2, 2) and (N, 2).
+    They map the displacements (u_t, u) of site i to those of i + 1, of the last to zero. With them the displacements at site i
+    per force on its interfacial layer, u[0] per u_t[0], and the force on u_t[0] per u_t[0], in K.
     """
-
-    right: Array  # from site i to i + 1; zero for the last
-    source: Array  # displacements at site i per force on its interfacial layer
-    follow: Array  # u[0] per u_t[0], shape ()
-    edge_stiffness: Array  # force on u_t[0] per u_t[0], in K, shape ()
-
-
-def propagators(chain: Chain, beyond: Springs) -> Propagators:
-    """Compute a chain's propagators, given its elimination from the right end."""
     site = beside(beyond, chain.across, chain.contact)
-
-    def step(near: Springs, here: tuple) -> tuple[Springs, Springs]:
-        bond, across, contact = here
-        seen = in_series(bond, beside(near, across, contact))
-        return seen, seen
-
     # u_t[0] is held: from site 1 the upper layer ends in a wall, the interfacial layer in site 0
     ground = chain.across[0] + chain.contact[0]
     share = chain.layer[0] / jnp.where(chain.layer[0] + ground > 0, chain.layer[0] + ground, jnp.inf)
     first = Springs(chain.upper[0], share * ground, jnp.zeros_like(ground))
     bonds = (chain.upper[1:], chain.layer[1:])
-    _, rest = lax.scan(step, first, (bonds, chain.across[1:-1], chain.contact[1:-1]))
+    _, rest = lax.scan(pass_site, first, (bonds, chain.across[1:-1], chain.contact[1:-1]))
     none = Springs(*(jnp.zeros_like(ground),) * 3)
     behind = Springs(*(jnp.concatenate([n[None], f[None], r]) for n, f, r in zip(none, first, rest, strict=True)))
 
-    over = carried_over(held_from_left(chain, site), (chain.upper, chain.layer))
-    right = jnp.stack([jnp.stack(column, -1) for column in over], -1)
+    right = jnp.stack([jnp.stack(column, -1) for column in carried_over(chain, site)], -1)
     whole = Springs(*(a + b for a, b in zip(behind, site, strict=True)))
     source = jnp.stack(solve_pair(whole, (jnp.zeros_like(ground), jnp.ones_like(ground))), -1)
     stiff = site.layer[0] + site.across[0]
     at_edge = jnp.zeros(2, right.dtype).at[1].set(1 / jnp.where(stiff > 0, stiff, jnp.inf))
-    follow = site.across[0] * at_edge[1]
     # u_t[0] − u[0] per load, from positive terms
     apart = (chain.contact[0] + beyond.layer[0]) * at_edge[1]
-    return Propagators(
-        right=jnp.concatenate([right, jnp.zeros((1, 2, 2), right.dtype)]),
-        source=source.at[0].set(at_edge),
-        follow=follow,
-        edge_stiffness=beyond.upper[0] + site.across[0] * apart,
-    )
+    right = jnp.concatenate([right, jnp.zeros((1, 2, 2), right.dtype)])
+    return right, source.at[0].set(at_edge), site.across[0] * at_edge[1], beyond.upper[0] + site.across[0] * apart
 
 
 def of_chain(chain: Chain, beyond: Springs) -> Response:
@@ -121,15 +87,12 @@ def of_chain(chain: Chain, beyond: Springs) -> Response:
             f"{chain.sites**2 * chain.contact.dtype.itemsize / 1e9:.1f} GB; the most is {MOST_SITES}. Of a uniform one, take "
             "contacts n times as large: H/λc over n, and n times k/K"
         )
-    sites = propagators(chain, beyond)
-    load = jnp.stack([jnp.ones_like(sites.follow), sites.follow]) / chain.stiffness
-    at_load = lax.scan(lambda here, P: ((P * here[None]).sum(-1), here[1]), load, sites.right)[1]
-    return Response(
-        push=(at_load * chain.contact)[None],
-        soft=chain.stiffness / jnp.where(chain.contact > 0, chain.contact, jnp.inf),
-        matrix=transfers(sites, chain.contact)[:, None],
-        edge_stiffness=sites.edge_stiffness,
-    )
+    right, source, follow, edge_stiffness = propagators(chain, beyond)
+    load = jnp.stack([jnp.ones_like(follow), follow]) / chain.stiffness
+    at_load = lax.scan(lambda here, P: ((P * here[None]).sum(-1), here[1]), load, right)[1]
+    soft = chain.stiffness / jnp.where(chain.contact > 0, chain.contact, jnp.inf)
+    matrix = transfers(right, source, chain.contact)[:, None]
+    return Response((at_load * chain.contact)[None], soft, matrix, edge_stiffness)
 
 
 def with_response(f: Callable, chain: Chain, *given: Any) -> Any:
@@ -160,7 +123,7 @@ def with_response(f: Callable, chain: Chain, *given: Any) -> Any:
     return lanes(springs, chain, *given)
 
 
-def transfers(links: Propagators, contact: Float[Array, " N"]) -> Float[Array, "N N"]:
+def transfers(right: Float[Array, "N 2 2"], source: Float[Array, "N 2"], contact: Float[Array, " N"]) -> Float[Array, "N N"]:
     """Compute q_i G_ij, source first.
 
     The displacements due to all sources are carried to the right together, site by site.
@@ -173,7 +136,7 @@ def transfers(links: Propagators, contact: Float[Array, " N"]) -> Float[Array, "
         return (P[0, 0] * upper + P[0, 1] * layer, P[1, 0] * upper + P[1, 1] * layer), layer
 
     nothing = jnp.zeros_like(contact)
-    arrived = lax.scan(step, (nothing, nothing), (links.right, links.source, sites))[1]
+    arrived = lax.scan(step, (nothing, nothing), (right, source, sites))[1]
     return jnp.where(sites[:, None] >= sites[None], arrived, arrived.T) * contact[None]
 
 

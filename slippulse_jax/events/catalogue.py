@@ -158,22 +158,10 @@ class Catalogue(NamedTuple):
 
 
 COLUMNS = {
-    "load": "u_s",
-    "force_before": "K u_s",
-    "force_after": "K u_s",
-    "site": "1",
-    "leftmost": "1",
-    "extent": "lambda_c",
-    "length": "lambda_c",
-    "breaks": "1",
-    "slip": "u_s",
-    "stress_drop": "sigma_s",
-    "work": "K u_s^2",
-    "stored": "K u_s^2",
-    "broken": "K u_s^2",
-    "relaxed": "K u_s^2",
-    "kind": "1",
-}
+    "load": "u_s", "force_before": "K u_s", "force_after": "K u_s", "site": "1", "leftmost": "1", "extent": "lambda_c",
+    "length": "lambda_c", "breaks": "1", "slip": "u_s", "stress_drop": "sigma_s", "work": "K u_s^2", "stored": "K u_s^2",
+    "broken": "K u_s^2", "relaxed": "K u_s^2", "kind": "1",
+}  # fmt: skip
 """Columns of a catalogue and their units."""
 
 

@@ -9,9 +9,8 @@ layer. Each break therefore moves the pinning points of all detached contacts su
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
@@ -40,8 +39,8 @@ class Event(NamedTuple):
     breaks: Int[Array, ""]
     stretched: Float[Array, ""]  # Σ t² (k/k_i) over the breaks: twice the energy of the broken contacts' stretch over k
     relaxed: Float[Array, ""]  # Σ t t' (k/k_i), with t' the stress on the contact after its break
-    order: Int[Array, " L+1"] | None  # sites in order of breaking, −1 where none; the last entry is scratch space
-    each: Float[Array, " L+1"] | None  # stress each break released
+    order: Int[Array, " L+1"]  # sites in order of breaking, −1 where none; the last entry is scratch space
+    each: Float[Array, " L+1"]  # stress each break released
 
     @property
     def stress(self) -> Float[Array, " N"]:
@@ -131,7 +130,7 @@ def event(
     """
     renewed = threshold if renewed is None else renewed
     zero, none = jnp.zeros_like(readings[0]), jnp.zeros((), jnp.int32)
-    never, (order, each, logged) = jnp.zeros(threshold.shape, jnp.int32), (None, None, 0) if log is None else log
+    never, (order, each, logged) = jnp.zeros(threshold.shape, jnp.int32), empty_log(0, readings.dtype) if log is None else log
     start = Event(readings, threshold, zero, zero, never, never - 1, none, zero[0], zero[0], order, each)
     trigger, last = jnp.asarray(trigger, jnp.int32), jnp.asarray(last, jnp.int32)
 
@@ -159,12 +158,9 @@ def event(
         if delay:
             readings, released, after, detached = _held(response, now, site, detached)
         else:
-            readings = now.readings.at[0, site].set(0) + response.column(site) * t
+            readings = now.readings.at[0, site].set(0) + response.matrix[site] * t
             released, after = now.released.at[site].add(t), readings[0, site]
-        if now.order is not None and now.each is not None:
-            row = jnp.minimum(logged + now.breaks, now.order.size - 1)
-            now = now._replace(order=now.order.at[row].set(site), each=now.each.at[row].set(t))
-        soft = response.soft[site] * t
+        soft, row = response.soft[site] * t, jnp.minimum(logged + now.breaks, now.order.size - 1)
         now = now._replace(
             readings=readings,
             threshold=now.threshold.at[site].set(renewed[site]),
@@ -175,11 +171,18 @@ def event(
             breaks=now.breaks + 1,
             stretched=now.stretched + soft * t,
             relaxed=now.relaxed + soft * after,
+            order=now.order.at[row].set(site),
+            each=now.each.at[row].set(t),
         )
         return now, next_of(now), detached
 
     begin = start, next_of(start), jnp.full(delay, -1, jnp.int32)
     return lax.while_loop(going, step, begin)[0]
+
+
+def empty_log(breaks: int, dtype: Any) -> tuple[Int[Array, " L+1"], Float[Array, " L+1"], int]:
+    """The `log` of an `event`, for so many breaks from the first on."""
+    return jnp.full(breaks + 1, -1, jnp.int32), jnp.zeros(breaks + 1, dtype), 0
 
 
 def _held(response: Response, now: Event, site: Array, detached: Int[Array, " n"]) -> tuple[Array, Array, Array, Array]:
@@ -189,7 +192,7 @@ def _held(response: Response, now: Event, site: Array, detached: Int[Array, " n"
     """
     moving = jnp.append(detached, site)[1:]  # the contact detached longest repins, where it is
     there = moving >= 0
-    columns = jax.vmap(response.column)(jnp.maximum(moving, 0))[:, 0]
+    columns = response.matrix[jnp.maximum(moving, 0), 0]
     green = jnp.where(there[:, None] & there[None], columns[:, jnp.maximum(moving, 0)], 0)
     t = now.stress[site]
     unit, at = jnp.eye(moving.size, dtype=t.dtype), jnp.where(there, moving, now.times.size)

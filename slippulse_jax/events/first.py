@@ -25,7 +25,7 @@ from slippulse_jax.bodies.equilibrium import all_numbers
 from slippulse_jax.bodies.modes import FARTHEST
 from slippulse_jax.bodies.response import Response, of_chain
 from slippulse_jax.bulk.derivatives import by_forward_mode, with_gradient, with_jacobian
-from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, Event, event, first_to_break, overload
+from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, Event, empty_log, event, first_to_break, overload
 from slippulse_jax.front.front import FADED, Front, follow
 from slippulse_jax.interface import AnyInterface
 from slippulse_jax.rules import BreakRule
@@ -173,27 +173,20 @@ def nucleated(body: Relaxed) -> Nucleation:
     return Nucleation(first, load, readings, response, readings[1] if len(readings) > 1 else None)
 
 
-def first_event(
-    body: Relaxed, limit: Int[Array, ""] | int | None = None, kind: EventKind = "domino"
-) -> tuple[Event, Nucleation]:
-    """Load a body to its first break, and follow the event.
+def first_event(body: Relaxed, kind: EventKind = "domino") -> tuple[Event, Nucleation]:
+    """Load a body to its first break, and follow the event."""
+    start = nucleated(body)
+    return event_from(start, body, kind), start
+
+
+def event_from(
+    start: Nucleation, body: Relaxed, kind: EventKind, limit: Array | int | None = None, *, logged: bool = False
+) -> Event:
+    """Event that a nucleation begins; if `logged`, with the order of breaks.
 
     Contacts break until none is at its threshold, or the last has broken. In the first front no contact breaks again. The
     event is given up after `limit` breaks, at least one.
     """
-    start = nucleated(body)
-    return event_from(start, body, limit, kind), start
-
-
-def event_from(
-    start: Nucleation,
-    body: Relaxed,
-    limit: Int[Array, ""] | int | None = None,
-    kind: EventKind = "domino",
-    *,
-    logged: bool = False,
-) -> Event:
-    """Event that a nucleation begins; if `logged`, with the order of breaks."""
     threshold, sites = body.threshold, body.threshold.size
     most_breaks = BREAKS_PER_SITE * sites
     return event(
@@ -204,7 +197,7 @@ def event_from(
         renewed=None if kind == "full" else jnp.full_like(threshold, jnp.inf),
         trigger=start.first,
         last=jnp.asarray(body.last) % sites,
-        log=(jnp.full(most_breaks + 1, -1, jnp.int32), jnp.zeros(most_breaks + 1, threshold.dtype), 0) if logged else None,
+        log=empty_log(most_breaks, threshold.dtype) if logged else None,
     )
 
 
@@ -217,8 +210,6 @@ def slopes_of_length(
     every contact: a break of contact o that released t set its stress to zero and added t times its column.
     """
     order, each, matrix = found.order, found.each, start.response.matrix
-    assert order is not None
-    assert each is not None
     at, over, degree = found.front_of(alike)
     ahead, none = jnp.minimum(at + 1, threshold.size - 1), jnp.zeros_like(threshold)
     of_over, of_short = jax.grad(found.end, (1, 2))(at, over, found.excess[ahead], degree)
@@ -266,7 +257,7 @@ def ended(found: Event, start: Nucleation, body: Relaxed, kind: EventKind) -> tu
 def record(body: Any, interface: AnyInterface, sites: int, kind: EventKind) -> FirstPrecursor:
     """Record of the event of a body's first `sites` contacts."""
     contacts = body.contacts(interface, sites)
-    found, start = first_event(contacts, kind=kind)
+    found, start = first_event(contacts, kind)
     pinning, before, stress, pressure = found.released, start.readings[0], found.stress, found.pressure
     if contacts.pressed is not None:
         after = contacts.pressed.balance(jnp.full(sites, jnp.inf), contacts.prestress, pinning, start.load)
@@ -293,7 +284,7 @@ def record(body: Any, interface: AnyInterface, sites: int, kind: EventKind) -> F
 
 def length_of(body: Relaxed, kind: EventKind) -> tuple[Float[Array, ""], Int[Array, ""], Int[Array, ""]]:
     """ℓ of an event, how many contacts broke, and its `Outcome`."""
-    found, start = first_event(body, kind=kind)
+    found, start = first_event(body, kind)
     status, length = ended(found, start, body, kind)
     return length, found.broken.sum(), status
 
@@ -301,14 +292,14 @@ def length_of(body: Relaxed, kind: EventKind) -> tuple[Float[Array, ""], Int[Arr
 @partial(jax.custom_jvp, nondiff_argnums=(2,))
 def length_from(start: Nucleation, body: Relaxed, kind: EventKind) -> Float[Array, ""]:
     """ℓ of the event that a nucleation begins."""
-    return ended(event_from(start, body, kind=kind), start, body, kind)[1]
+    return ended(event_from(start, body, kind), start, body, kind)[1]
 
 
 @length_from.defjvp
 def _length_jvp(kind: EventKind, primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     """At a fixed order of breaks."""
     (start, body), (moved, changed) = primals, tangents
-    found = event_from(start, body, kind=kind, logged=True)
+    found = event_from(start, body, kind, logged=True)
     length = ended(found, start, body, kind)[1]
     changes = moved.readings, moved.response.matrix, changed.threshold
     slopes = slopes_of_length(found, start, body.threshold, body.alike)
@@ -329,7 +320,7 @@ def smooth_length(contacts: Relaxed, rule: BreakRule) -> Float[Array, ""]:
 
     def release(front: Front, part: Any, released: Array) -> Front:
         return front._replace(
-            loads=front.loads + start.response.column(front.position) * (part * released), position=front.position + 1
+            loads=front.loads + start.response.matrix[front.position] * (part * released), position=front.position + 1
         )
 
     at_edge = Front(start.readings, None, None, jnp.int32(0))

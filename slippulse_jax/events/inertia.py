@@ -87,7 +87,7 @@ class MotionState(NamedTuple):
     broken: Array
     damped: Array
     rubbed: Array
-    worst: Array  # error of their balance so far
+    imbalance: Array  # largest error of their balance so far
 
 
 def stable_step(chain: Chain, safety: AnyArrayLike = 0.2) -> Array:
@@ -210,10 +210,6 @@ def _simulate(
         v = (jnp.where(sites == 0, velocity, keep * now.v[0]), keep * now.v[1])
         return now._replace(v=v, damped=now.damped + kinetic(now.v) - kinetic(v))
 
-    def push(now: MotionState) -> Array:
-        """Force that holds the left edge."""
-        return -now.pull[0][0]
-
     def verlet(now: MotionState) -> MotionState:
         v = (now.v[0] + held * now.pull[0] * dt / (2 * mass[0]), now.v[1] + now.pull[1] * dt / 2)
         x = (now.x[0] + dt * v[0], now.x[1] + dt * v[1])
@@ -223,7 +219,7 @@ def _simulate(
         pull = forces(chain, pinning, x)
         v = (v[0] + held * pull[0] * dt / (2 * mass[0]), v[1] + pull[1] * dt / 2)
         after = now._replace(x=x, v=v, pull=pull, pinning=pinning, n=now.n + 1, since=now.since + dt)
-        work = now.work + (push(now) + push(after)) / 2 * velocity * dt
+        work = now.work - (now.pull[0][0] + pull[0][0]) / 2 * velocity * dt  # of the force that holds the left edge
         return after._replace(work=work, rubbed=now.rubbed + k * friction * moved.sum())
 
     def break_those(now: MotionState, those: Array) -> MotionState:
@@ -257,7 +253,7 @@ def _simulate(
         now = break_those(now, those)
         energy = kinetic(now.v) + potential_energy(chain, now.x, now.pinning)
         error = jnp.abs(energy - initial - now.work + now.broken + now.damped + now.rubbed)
-        return now._replace(worst=jnp.maximum(now.worst, error))
+        return now._replace(imbalance=jnp.maximum(now.imbalance, error))
 
     def going(now: MotionState) -> Array:
         at_rest = (kinetic(now.v) < AT_REST) & (overloaded(now).max() < 0) & ~now.sliding.any()
@@ -267,47 +263,29 @@ def _simulate(
     x = (start.upper, start.layer)
     initial = potential_energy(chain, x, state.pinning)
     v = (jnp.zeros_like(start.upper).at[0].set(velocity), jnp.zeros_like(start.layer))
-    now = MotionState(
-        x=x,
-        v=v,
-        pull=forces(chain, state.pinning, x),
-        pinning=state.pinning,
-        sliding=jnp.zeros(chain.sites, bool),
-        first_break=jnp.full_like(start.upper, jnp.inf),
-        breaks=jnp.zeros(chain.sites, jnp.int32),
-        n=jnp.zeros((), jnp.int32),
-        since=zero + jnp.inf,
-        work=zero,
-        broken=zero,
-        damped=zero,
-        rubbed=zero,
-        worst=zero,
-    )
+    none, never = jnp.zeros(chain.sites, jnp.int32), jnp.full_like(start.upper, jnp.inf)
+    energies = {name: zero for name in ("work", "broken", "damped", "rubbed", "imbalance")}
+    pull = forces(chain, state.pinning, x)
+    now = MotionState(x, v, pull, state.pinning, none > 0, never, none, none[0], zero + jnp.inf, **energies)
     now = lax.while_loop(going, step, break_those(now, sites == trigger))
-    broke = now.breaks > 0
-    extent = jnp.where(broke, sites + 1, 0).max()
+    extent = jnp.where(now.breaks > 0, sites + 1, 0).max()
     moving = kinetic(now.v)
     finite = valid & jnp.isfinite(moving) & (start.status == Outcome.SOLVED)
     endings = {Outcome.INVALID: ~finite, Outcome.RAN_THROUGH: extent == chain.sites, Outcome.TIME_OVER: now.n >= steps}
+    kept = {name: x for name, x in now._asdict().items() if name in Motion._fields}
     return Motion(
         state=State(now.pinning, now.x[0][0]),
         upper=now.x[0],
         layer=now.x[1],
         upper_velocity=now.v[0],
         layer_velocity=now.v[1],
-        first_break=now.first_break,
-        breaks=now.breaks,
         extent=extent,
         time=now.n.astype(dt.dtype) * dt,
         step=dt,
         kinetic=moving,
         potential=potential_energy(chain, now.x, now.pinning),
-        work=now.work,
-        broken=now.broken,
-        damped=now.damped,
-        rubbed=now.rubbed,
-        imbalance=now.worst,
         status=first_of(endings),
+        **kept,
     )
 
 

@@ -31,7 +31,7 @@ from slippulse_jax.bodies.chain import Chain, Springs, State, check_linear, elim
 from slippulse_jax.bodies.equilibrium import Equilibrium, all_numbers, equilibrium, in_balance, or_harmless
 from slippulse_jax.bodies.response import Response, propagators, with_response
 from slippulse_jax.bulk.derivatives import without_derivative
-from slippulse_jax.events.event import BREAKS_PER_SITE, event, first_to_break, most
+from slippulse_jax.events.event import BREAKS_PER_SITE, empty_log, event, first_to_break, most
 from slippulse_jax.events.first import ROUNDING, alike
 from slippulse_jax.rules import BreakRule, check_rule
 
@@ -129,11 +129,8 @@ def rupture(
     check_whole("repin_delay", repin_delay, 0)
     if max_breaks is not None:
         check_whole("max_breaks", max_breaks, 1)
-    if (
-        trigger is not None
-        and not isinstance(trigger, Tracer)
-        and not (np.ndim(trigger) == 0 and np.asarray(trigger).item() in range(-1, chain.sites))
-    ):
+    sites = range(-1, chain.sites)
+    if not isinstance(trigger, Tracer | None) and (np.ndim(trigger) or np.asarray(trigger).item() not in sites):
         raise ValueError(f"trigger = {trigger!r}: must be one of the sites 0 … {chain.sites - 1}, or −1 for none")
     none_given = CLOSEST if rule is None else -1
     first = trigger.astype(jnp.int32) if isinstance(trigger, Tracer) else np.int32(none_given if trigger is None else trigger)
@@ -269,10 +266,8 @@ def one_rupture(
             limit=max_breaks,
             trigger=jnp.where(good, trigger, -1),
             delay=delay,
-            log=(jnp.full(max_breaks + 1, -1, jnp.int32), jnp.zeros(max_breaks + 1, threshold.dtype), 0),
+            log=empty_log(max_breaks, threshold.dtype),
         )
-        assert found.order is not None
-        assert found.each is not None
         excess, last = found.stress - threshold, chain.sites - 1
         return {
             Outcome.NOTHING_BROKE: found.breaks == 0,
@@ -292,12 +287,8 @@ def one_rupture(
     return _between_equilibria(chain, state, trigger, beyond, breaking)
 
 
-def _hard_rupture(limits: tuple[int, int], chain: Chain, state: State, trigger: Array) -> Rupture:
-    return with_response(partial(one_rupture, limits), chain, state, trigger)
-
-
 _undifferentiated = without_derivative(
-    _hard_rupture,
+    lambda limits, *given: with_response(partial(one_rupture, limits), *given),
     "the hard cascade cannot be differentiated: which contact breaks next is a comparison, whose derivative would "
     "silently be zero. Use rupture(..., rule=SmoothBreak(width)), which can be; for the length of a first precursor use "
     "precursor_length, which has an exact derivative.",
@@ -323,7 +314,7 @@ def smooth_rupture(chain: Chain, state: State, rule: BreakRule, trigger: Array) 
     """
 
     def breaking(chain: Chain, beyond: Springs, stress: Array, trigger: Array, _: Array) -> Broken:
-        links, theta = propagators(chain, beyond), chain.threshold
+        (right, source, _, _), theta = propagators(chain, beyond), chain.threshold
 
         def step(arriving: Array, here: tuple) -> tuple[Array, tuple]:
             P, source, stress, threshold, contact, site = here
@@ -332,7 +323,7 @@ def smooth_rupture(chain: Chain, state: State, rule: BreakRule, trigger: Array) 
             return (P * (arriving + source * p * t)[None, :]).sum(-1), (p, t)
 
         sites = jnp.arange(chain.sites, dtype=jnp.int32)
-        in_turn = (links.right, links.source, stress, theta, chain.contact, sites)
+        in_turn = (right, source, stress, theta, chain.contact, sites)
         _, (p, t) = lax.scan(step, jnp.zeros(2, theta.dtype), in_turn)
         first, most = jnp.maximum(trigger, 0), p > 0.5
         steps = jax.vmap(rule.overloaded_length)(t[:-1], t[1:], theta[:-1], theta[1:])

@@ -197,17 +197,15 @@ def _sites_of_block(block: Block, sites: int | None, protocol: Protocol) -> int:
 
 
 def _series(shape: Shape, body: Any, interface: AnyInterface, loading: Loading) -> Catalogue:
+    def of_chain(beyond: Springs, response: Response, chain: Chain, loading: Loading) -> Catalogue:
+        return of_contacts(shape, contacts_of_chain(chain, beyond, response), loading)
+
+    def resolved(body: Any, interface: AnyInterface, loading: Loading) -> Catalogue:
+        return of_contacts(shape, body.contacts(interface, shape[-1]), loading)
+
     if isinstance(body, Chain):
-        return with_response(partial(_of_chain, shape), body, loading)
-    return lane_by_lane(partial(_resolved, shape), body, interface, loading)
-
-
-def _of_chain(shape: Shape, beyond: Springs, response: Response, chain: Chain, loading: Loading) -> Catalogue:
-    return of_contacts(shape, contacts_of_chain(chain, beyond, response), loading)
-
-
-def _resolved(shape: Shape, body: Any, interface: AnyInterface, loading: Loading) -> Catalogue:
-    return of_contacts(shape, body.contacts(interface, shape[-1]), loading)
+        return with_response(of_chain, body, loading)
+    return lane_by_lane(resolved, body, interface, loading)
 
 
 def of_contacts(shape: Shape, body: Relaxed, loading: Loading) -> Catalogue:
@@ -338,23 +336,13 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
         EventClass.EDGE: first == 0,
         EventClass.RENUCLEATED: (first > 0) & (now.last[jnp.maximum(first - 1, 0)] > now.last[first]),
     }
+    length = jnp.where(spans, jnp.inf, found.length(excess, body.last, even))
     row = {
-        "load": load,
-        "force_before": force_before,
-        "force_after": force,
-        "site": first,
-        "leftmost": found.leftmost,
-        "extent": right + 1,
-        "length": jnp.where(spans, jnp.inf, found.length(excess, body.last, even)),
-        "breaks": found.breaks,
-        "slip": slip.sum(),
-        "stress_drop": (per_stretch * (readings[0] - found.stress)).sum(),
-        "work": work,
-        "stored": stored,
-        "broken": broken,
-        "relaxed": relaxed,
-        "kind": jnp.select(list(kinds.values()), list(kinds), EventClass.INTERIOR),
-    }
+        "load": load, "force_before": force_before, "force_after": force, "site": first, "leftmost": found.leftmost,
+        "extent": right + 1, "length": length, "breaks": found.breaks, "slip": slip.sum(),
+        "stress_drop": (per_stretch * (readings[0] - found.stress)).sum(), "work": work, "stored": stored, "broken": broken,
+        "relaxed": relaxed, "kind": jnp.select(list(kinds.values()), list(kinds), EventClass.INTERIOR),
+    }  # fmt: skip
     over = (found.breaks >= loading.max_breaks) & (excess >= 0).any()
     endings = {
         Outcome.NOTHING_LEFT: ~begins,
@@ -379,7 +367,7 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
             name: lax.dynamic_update_index_in_dim(column, row[name].astype(column.dtype), place, 0)
             for name, column in now.rows.items()
         },
-        order=now.order if found.order is None else found.order,
+        order=found.order,
     )
 
 

@@ -31,7 +31,7 @@ Compute = Callable[[Request, Columns], Any]
 def _in_bulk(function: Callable[..., Any]) -> Compute:
     """Evaluate a function of sliders and interface."""
 
-    def evaluated(request: Request, columns: Columns) -> Columns:
+    def evaluated(request: Request, columns: Columns) -> Any:
         interface = Interface(*_fields(columns, *INTERFACE)) if INTERFACE.keys() & columns.keys() else None
         return function(Slider(*_fields(columns, *SLIDER), length=request.sites, right=request.right), interface)
 
@@ -45,14 +45,9 @@ def _fields(columns: Columns, *names: str) -> list[np.ndarray]:
 
 
 @_in_bulk
-def _length(slider: Slider, interface: Interface | None) -> Columns:
-    return {"length": bulk.lengths(slider, interface)}
-
-
-@_in_bulk
 def _front(slider: Slider, interface: Interface | None) -> Columns:
     found = bulk.arrests(slider, interface)._asdict()
-    del found["length"]  # always from `_length`, whatever the other outputs: two ways may round differently
+    del found["length"]  # always by itself, whatever the other outputs: two ways may round differently
     return found | {"is_one_domino": found["status"] == Outcome.ARRESTED}
 
 
@@ -156,7 +151,7 @@ def _flag(long_name: str, function: Compute, condition: str, takes: frozenset[st
 
 
 OUTPUTS = {
-    "length": Output("length of the first precursor", "lambda_c", _length, _FRONT),
+    "length": Output("length of the first precursor", "lambda_c", _in_bulk(bulk.lengths), _FRONT),
     "contacts_broken": Output("whole contacts broken", "1", _front, _FRONT, "int32"),
     "status": Output("how the front ended", "1", _front, _FRONT, "int8", FRONT_OUTCOMES),
     "edge_stress": Output("stress on contact 0 behind the front", "sigma_s", _front, _FRONT),

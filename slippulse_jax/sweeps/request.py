@@ -11,16 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from slippulse_jax.base.domains import (
-    FRICTION,
-    HEIGHT,
-    NORMAL_STIFFNESS,
-    POISSON,
-    PRESTRESS,
-    STIFFNESS,
-    THRESHOLD_SLOPE,
-    real_numbers,
-)
+from slippulse_jax.base import domains
 from slippulse_jax.base.files import plain
 from slippulse_jax.base.units import Quantity, quantities
 from slippulse_jax.block import OF_SIDE, Block, ContactLaw, Control, Push, Top, has_push
@@ -48,17 +39,12 @@ PARAMETERS: dict[str, Quantity] = {**SLIDER, **INTERFACE, **quantities(SmoothBre
 """Parameters that can be swept, in the order of the axes."""
 
 DOMAINS = {
-    "height": ("Slider.", HEIGHT),
-    "stiffness": ("Slider.", STIFFNESS),
-    "poisson": ("Slider.", POISSON),
-    "prestress": ("Interface.", PRESTRESS),
-    "threshold_slope": ("Interface.", THRESHOLD_SLOPE),
-    "width": ("SmoothBreak.", WIDTH),
-    "push_height": ("", OF_SIDE),
-    "push_width": ("", OF_SIDE),
-    "friction": ("", FRICTION),
-    "normal_stiffness": ("", NORMAL_STIFFNESS),
-}
+    "height": ("Slider.", domains.HEIGHT), "stiffness": ("Slider.", domains.STIFFNESS),
+    "poisson": ("Slider.", domains.POISSON), "prestress": ("Interface.", domains.PRESTRESS),
+    "threshold_slope": ("Interface.", domains.THRESHOLD_SLOPE), "width": ("SmoothBreak.", WIDTH),
+    "push_height": ("", OF_SIDE), "push_width": ("", OF_SIDE), "friction": ("", domains.FRICTION),
+    "normal_stiffness": ("", domains.NORMAL_STIFFNESS),
+}  # fmt: skip
 """Owner and domain of each parameter."""
 
 
@@ -182,7 +168,7 @@ def make_axes(
 
 
 def _values(name: str, given: Any) -> np.ndarray:
-    values = np.array(real_numbers(name, given))  # a copy: the caller's array may change while the sweep runs
+    values = np.array(domains.real_numbers(name, given))  # a copy: the caller's array may change while the sweep runs
     if values.ndim > 1 or values.size == 0:
         raise ValueError(f"{name} has shape {values.shape}: must be a number or a one-dimensional array with values")
     owner, domain = DOMAINS[name]
