@@ -57,8 +57,10 @@ def series_of(theta: Float[Array, "n *lanes"]) -> Series:
 
 def first_crossing(found: Series, theta: Float[Array, "n *lanes"]) -> tuple[Lanes, Lanes]:
     """Find ℓ* and the `Outcome`, both in one floating type; without φ and ε every front is simple."""
-    slope, edge, careful = _slope(theta), double_series.at_edge(found), len(theta) > 3
-    moves, zero = edge > slope, jnp.zeros_like(edge)
+    slope, careful = _slope(theta), len(theta) > 3
+    zero = jnp.zeros_like(slope)
+    edge = double_series.rise(found, zero)[1]
+    moves = edge > slope
     simple = _simple(found, slope) if careful else jnp.ones_like(moves)
     start = jnp.where(simple & moves, _start(found, theta), 0)
     low, dip, in_dip, passed = zero, zero, jnp.zeros_like(moves), ~moves

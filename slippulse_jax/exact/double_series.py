@@ -88,9 +88,8 @@ class Series(NamedTuple):
     """Table and amplitudes of every lane."""
 
     system: System
-    table: Float[Array, "rows F a *lanes"]  # τ from row 1 on
+    table: Float[Array, "k F a *lanes"]  # τ
     rows: Float[Array, "k F *lanes"]  # Σ_a τ
-    totals: Float[Array, "3 F *lanes"]  # Σ τ, Σ τ (1 − μ) and −Σ τ ln μ
     amplitude: Float[Array, "F *lanes"]  # c_j
     echo: Float[Array, "F *lanes"]  # κ_j, with which D(s) times ρ_1's series is part of family j
     echo_rate: Float[Array, "F *lanes"]  # −ln x_j
@@ -149,89 +148,85 @@ def system_of(
 
 def solve(system: System) -> Series:
     """Table, and the amplitudes that give t(0) and t(1) − t(0)."""
-    table, plateau = _table(system), system.plateau
-    A, gaps = table.totals[:2]
+    found, plateau = _table(system), system.plateau
+    A, gaps = found.rows.sum(0), found.gaps
     # D(0) = 0 and D(1) = 1; on a line D'(0) = 1
     once = (A[0] - gaps[0]) / (1 - system.start_gap[0]) if system.lattice else A[0]
-    B = table.echo * once[None] - gaps
+    B = found.echo * once[None] - gaps
     known_0, known_1 = system.at_edge, system.first_step
     prestressed = A.shape[0] > 2
     if prestressed:
         known_0, known_1 = known_0 - plateau * A[2], known_1 - plateau * B[2]
     determinant = A[0] * B[1] - A[1] * B[0]
     c1, c2 = (known_0 * B[1] - A[1] * known_1) / determinant, (A[0] * known_1 - known_0 * B[0]) / determinant
-    return table._replace(amplitude=jnp.stack([c1, c2, plateau] if prestressed else [c1, c2]))
+    amplitude = jnp.stack([c1, c2, plateau] if prestressed else [c1, c2])
+    return Series(
+        system, found.table, found.rows, amplitude, found.echo, system.rate + _resonance(system) * system.level_rate[None]
+    )
 
 
 class _Progress(NamedTuple):
     k: Array  # the next row
-    level: Array  # 1 − r_2^{2(k−1)}
-    above: Array  # the row before
+    above: Array  # the row before, behind two columns of zeros
     table: Array
     rows: Array
-    totals: Array
+    gaps: Array  # Σ τ (1 − μ)
     running: Array
     fed: Array  # r_1^a r_2^b V_ab of ρ_1's series, shape (k, 2, a, *lanes)
     echo: Array
 
 
-def _table(system: System) -> Series:
-    """Rows until every lane has ended, or `ROWS`; no amplitudes yet."""
-    families, *lanes = system.rate.shape
-    zeros, one, width = jnp.zeros_like(system.rate), jnp.ones_like(system.rate), 2 * ROWS + 1
+def _resonance(system: System) -> Float[Array, "F *lanes"]:
+    """Index n of every family's resonance: of the prestress's never 0, of ρ_1's own always."""
     distance = (system.rate[:1] - system.rate) / system.level_rate[None]
-    # of the prestress's family never n = 0, of ρ_1's own none
-    least = np.arange(families).reshape(-1, *[1] * len(lanes)) == 2
-    resonance = jnp.maximum(jnp.round(distance), jnp.asarray(least, one.dtype))
+    least = np.arange(len(system.rate)) == 2
+    return jnp.maximum(jnp.round(distance), jnp.asarray(_column(least, distance.ndim - 1), distance.dtype))
+
+
+def _table(system: System) -> _Progress:
+    """Rows until every lane has ended, or `ROWS`."""
+    families, *lanes = system.rate.shape
+    one, width, resonance = jnp.ones_like(system.rate), 2 * ROWS + 1, _resonance(system)
     start = _Progress(
         k=jnp.asarray(1),
-        level=jnp.zeros_like(system.level_rate),
         above=jnp.zeros((families, width + 2, *lanes), one.dtype).at[:, 2].set(1),
-        table=jnp.zeros((ROWS, families, width, *lanes), one.dtype),
+        table=jnp.zeros((ROWS + 1, families, width, *lanes), one.dtype).at[0, :, 0].set(1),
         rows=jnp.zeros((ROWS + 1, families, *lanes), one.dtype).at[0].set(1),
-        totals=jnp.stack([one, system.start_gap, system.rate]),
+        gaps=system.start_gap,
         running=jnp.ones(lanes, bool),
         fed=jnp.zeros((ROWS + 1, 2, width, *lanes), one.dtype),
         echo=jnp.where(resonance == 0, system.to_modes[0, :1], 0).at[0].set(0),
     )
-    a = jnp.asarray(_column(np.arange(float(width)), len(lanes)), one.dtype)
-    if system.lattice:
-        columns, level_gap = power_gaps(decayed(system.column_rate), width), decayed(system.level_rate)
-    else:
-        columns, level_gap = a * system.column_rate[None], system.level_rate
+    columns, levels = _gaps(system, system.column_rate, width), _gaps(system, system.level_rate, ROWS + 1)
     rho = 1 - system.start_gap if system.lattice else one
 
     def row(now: _Progress) -> _Progress:
-        k, level = now.k, now.level
-        if system.lattice:
-            level = level + (1 - level) * level_gap
-            gap = level[None] + (1 - level[None]) * columns
-        else:
-            level = level + level_gap
-            gap = level[None] + columns
+        k, level = now.k, lax.dynamic_slice_in_dim(levels, now.k, 1)
+        gap = level + (1 - level) * columns if system.lattice else level + columns
         tau, fed, echo = _entries(system, now.above, gap, rho, resonance, (k, now.fed, now.echo))
         tau = jnp.where(now.running[None, None], tau, 0)
         total = tau.sum(1)
-        by_level, by_column = (system.level_rate * k.astype(total.dtype))[None], system.column_rate[None]
-        more = [total, system.start_gap * total + rho * (gap[None] * tau).sum(1)]
-        more.append(system.rate * total + by_level * total + by_column * (a[None] * tau).sum(1))
         rows = lax.dynamic_update_index_in_dim(now.rows, total, k, 0)
         size, scale = jnp.abs(tau).sum((0, 1)), jnp.minimum(jnp.abs(rows[1]).sum(0), 1)
         return _Progress(
             k + 1,
-            level,
             lax.dynamic_update_slice_in_dim(now.above, tau, 2, 1),
-            lax.dynamic_update_index_in_dim(now.table, tau, k - 1, 0),
+            lax.dynamic_update_index_in_dim(now.table, tau, k, 0),
             rows,
-            now.totals + jnp.stack(more),
+            now.gaps + system.start_gap * total + rho * (gap[None] * tau).sum(1),
             now.running & (size > ROW_TOLERANCE * scale),
             fed,
             echo,
         )
 
-    found = lax.while_loop(lambda now: (now.k <= ROWS) & now.running.any(), row, start)
-    echo_rate = system.rate + resonance * system.level_rate[None]
-    return Series(system, found.table, found.rows, found.totals, zeros, found.echo, echo_rate)
+    return lax.while_loop(lambda now: (now.k <= ROWS) & now.running.any(), row, start)
+
+
+def _gaps(system: System, rate: Lanes, count: int) -> Float[Array, "count *lanes"]:
+    """1 − e^{−n rate}, n = 0 … count − 1; on a line n rate."""
+    if system.lattice:
+        return power_gaps(decayed(rate), count)
+    return jnp.asarray(_column(np.arange(float(count)), rate.ndim), rate.dtype) * rate[None]
 
 
 def _sources(system: System, above: Array) -> tuple[Array, Array]:
@@ -291,7 +286,7 @@ def _sums(series: Series, s: Lanes) -> tuple[Array, Array, Array]:
     a = jnp.asarray(_column(np.arange(float(width)), s.ndim), columns.dtype)
     zero = jnp.zeros_like(system.rate)
     weights = columns[None], (a * rate * (1 - columns))[None]
-    lost, bent = (jnp.concatenate([zero[None], (w[None] * series.table).sum(2)]) for w in weights)
+    lost, bent = ((w[None] * series.table).sum(2) for w in weights)
     level_gap = decayed(s * system.level_rate)
     level, level_gap = (1 - level_gap)[None], level_gap[None]
 
@@ -307,17 +302,6 @@ def _sums(series: Series, s: Lanes) -> tuple[Array, Array, Array]:
     every = (jnp.arange(ROWS + 1, dtype=zero.dtype), series.rows, lost, bent)
     missing, left, fall, _ = lax.scan(add, (zero,) * 4, every, reverse=True)[0]
     return missing, left, fall
-
-
-def at_edge(series: Series) -> Lanes:
-    """t'(0)."""
-    c, system = series.amplitude, series.system
-    slope = -(c * series.totals[2]).sum(0)
-    once = jnp.ones_like(series.echo)  # D'(0)
-    if system.lattice:
-        slower, distance = _slower(series.echo_rate, system.rate[:1])
-        once = jnp.exp(slower) / _relaxation(distance)
-    return slope + (c * series.echo * once).sum(0) * series.totals[0, 0]
 
 
 def rise(series: Series, s: Lanes) -> tuple[Lanes, Lanes]:
@@ -366,8 +350,7 @@ def parts(series: Series, s: Lanes) -> Float[Array, "2 *lanes"]:
 def stress_sums(series: Series, low: Lanes, high: Lanes) -> Float[Array, "2 *lanes"]:
     """Σ_{low ≤ j < high} r_m^{j − low} t(j) for whole `low` ≤ `high`, term by term; on a line the integral."""
     system, span = series.system, high - low
-    table = jnp.concatenate([jnp.zeros_like(series.table[:1]).at[0, :, 0].set(1), series.table])
-    k, a = (_column(np.arange(n, dtype=table.dtype), low.ndim) for n in (table.shape[0], table.shape[2]))
+    k, a = (_column(np.arange(n, dtype=low.dtype), low.ndim) for n in (series.table.shape[0], series.table.shape[2]))
     rate = (k[:, None] * system.level_rate[None, None] + a[None] * system.column_rate[None, None])[None, None]
     begin, length = low[None, None, None, None], span[None, None, None, None]
     modes = system.mode_rate[:, None, None, None]
@@ -385,13 +368,13 @@ def stress_sums(series: Series, low: Lanes, high: Lanes) -> Float[Array, "2 *lan
         every = start + rate + modes
         return -jnp.exp(-begin * (start + rate)) * jnp.expm1(-length * every) / over(every)
 
-    total = (summed(of_families(system.rate)) * jnp.swapaxes(table, 0, 1)[None]).sum((2, 3))
+    total = (summed(of_families(system.rate)) * jnp.swapaxes(series.table, 0, 1)[None]).sum((2, 3))
     # D(j) is a divided difference in μ, and so is its sum: (FG)[x,y] = F[x,y] G(y) + F(x) G[x,y]
     D_low, D_high = (of_families(_difference(series, s)[0]) for s in (low, high))
     difference = jnp.exp(-rate * begin) * (D_low - jnp.exp(-length * (rate + modes)) * D_high)
     power = jnp.exp(-rate - modes) if system.lattice else 1
     both = (difference + summed(of_families(series.echo_rate)) * power) / over(of_families(system.rate[:1]) + rate + modes)
-    total = total + series.echo[None] * (both * table[None, None, :, 0]).sum((2, 3))  # ρ_1's own family has κ = 0
+    total = total + series.echo[None] * (both * series.table[None, None, :, 0]).sum((2, 3))  # ρ_1's own family has κ = 0
     return (series.amplitude[None] * total).sum(1)
 
 

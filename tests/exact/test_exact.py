@@ -317,7 +317,7 @@ def test_rise_is_what_the_stress_has_gained():
     found = jax.jit(series_of)(theta)
     start, slope = double_series.stress(found, np.zeros(60))
     np.testing.assert_allclose(start, 1, rtol=1e-12)
-    np.testing.assert_allclose(double_series.at_edge(found), slope, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(double_series.rise(found, np.zeros(60))[1], slope, rtol=1e-9, atol=1e-12)
     for s in (1.0, 30.0, 1e9):
         stress, slope = double_series.stress(found, np.full(60, s))
         rise, fall = double_series.rise(found, np.full(60, s))
@@ -528,7 +528,7 @@ def test_falling_thresholds_get_the_careful_search_in_bulk():
             [2.0, 1e-6, 0.3, 0.3, 0], [10.0, 0.3, 0.3, 0.3, -1e-4]]  # fmt: skip
     theta = np.array(rows).T
     length, status = crossing.first_crossing(series_of(theta), theta)
-    expected, *_, one_by_one = fronts(*theta)
+    expected, *_, one_by_one = fronts(*rows)
     assert [x == Outcome.NO_DOMINO for x in status] == [False, True, False, False, True, False]
     np.testing.assert_array_equal(status, np.where(one_by_one == Outcome.REBREAK, Outcome.ARRESTED, one_by_one))
     np.testing.assert_allclose(length, expected, rtol=1e-11)
