@@ -324,11 +324,9 @@ def _power(T: Float[Array, "n n"], exponent: Int[Array, ""]) -> Float[Array, "n 
         power, found = state
         return power @ power, jnp.where(bits % 2 == 1, power @ found, found)
 
-    def next_bit(state: tuple[Array, Array], bits: Array) -> tuple[tuple[Array, Array], None]:
-        return lax.cond(bits > 0, square, lambda _, state: state, bits, state), None
-
     every = exponent >> jnp.arange(jnp.iinfo(exponent.dtype).bits - 1, dtype=exponent.dtype)
-    return lax.scan(next_bit, (T, jnp.eye(len(T), dtype=T.dtype)), every)[0][1]
+    begin = T, jnp.eye(len(T), dtype=T.dtype)
+    return lax.scan(lambda x, bits: (lax.cond(bits > 0, square, lambda _, x: x, bits, x), None), begin, every)[0][1]
 
 
 @jax.custom_jvp

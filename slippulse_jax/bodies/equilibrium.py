@@ -217,11 +217,9 @@ def _newton(chain: Chain, state: State, start: Pair) -> tuple[Pair, Array]:
 
     n = jnp.zeros((), jnp.int32)
     x, now, n, _ = lax.while_loop(going, step, (start, size(start), n, jnp.ones((), bool)))
-    largest = jnp.maximum(
-        jnp.abs(chain.contact_force(x[1] - state.pinning)).max(), jnp.abs(chain.upper[0] * (x[0][0] - x[0][1]))
-    )
+    pull, push = chain.contact_force(x[1] - state.pinning), chain.upper[0] * (x[0][0] - x[0][1])
+    scale = jnp.maximum(jnp.abs(pull).max(), jnp.abs(push)) + jnp.finfo(now.dtype).tiny
     rounding = 1e3 * jnp.finfo(now.dtype).eps * chain.sites**0.5
-    scale = largest + jnp.finfo(now.dtype).tiny
     return x, jnp.sqrt(now) <= rounding * scale * (1 + chain.upper.max())
 
 

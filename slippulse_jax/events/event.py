@@ -65,16 +65,12 @@ class Event(NamedTuple):
     @property
     def rightmost(self) -> Int[Array, ""]:
         """Rightmost contact that broke; −1 if none did."""
-        return jnp.where(self.broken, self._sites, -1).max()
+        return jnp.where(self.broken, jnp.arange(self.times.size, dtype=jnp.int32), -1).max()
 
     @property
     def leftmost(self) -> Int[Array, ""]:
         """Leftmost contact that broke; N if none did."""
-        return jnp.where(self.broken, self._sites, self.times.size).min()
-
-    @property
-    def _sites(self) -> Int[Array, " N"]:
-        return jnp.arange(self.times.size, dtype=jnp.int32)
+        return jnp.where(self.broken, jnp.arange(self.times.size, dtype=jnp.int32), self.times.size).min()
 
     def length(self, excess: Float[Array, " N"], last: int | Array, alike: bool | Array = False) -> Float[Array, ""]:
         """ℓ: zero of the excess, by a curve through the last breaks.

@@ -180,11 +180,7 @@ def _rates(f: Callable[[Any], Any], at: Any, *rates: Any) -> tuple[Any, ...]:
 
 def _rate_and_bend(f: Callable[[Any], Any], at: Any, rate: Any, bend: Any) -> tuple[Any, Any, Any]:
     """``f(at)``, and its first and second derivative from those of `at`."""
-
-    def with_rate(at: Any, rate: Any) -> tuple[Any, Any]:
-        return eqx.filter_jvp(f, (at,), (rate,))
-
-    (value, slope), (_, bent) = eqx.filter_jvp(with_rate, (at, rate), (rate, bend))
+    (value, slope), (_, bent) = eqx.filter_jvp(lambda *x: eqx.filter_jvp(f, x[:1], x[1:]), (at, rate), (rate, bend))
     return value, slope, bent
 
 

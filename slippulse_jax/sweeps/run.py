@@ -39,9 +39,6 @@ QUICK = {"length", "contacts_broken", "status", "edge_stress", "is_one_domino", 
 TIMEOUT = 10
 """Seconds to wait for a scheduler to answer."""
 
-RETRIES = 2
-"""Retries of a failed Dask task."""
-
 Done = tuple[Region, Columns, set[str]]
 """A chunk, its values unless they went to a store, and what to warn of."""
 
@@ -268,7 +265,7 @@ def _on_workers(client: "Client", compute: Callable[[Region], Done], chunks: lis
     """Compute chunks on a cluster, each on one thread, as they finish."""
     from distributed import as_completed
 
-    futures = client.map(_alone, chunks, compute=compute, pure=False, retries=RETRIES)
+    futures = client.map(_alone, chunks, compute=compute, pure=False, retries=2)
     try:
         for future, done in as_completed(futures, with_results=True):
             yield done
