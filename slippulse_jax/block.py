@@ -14,19 +14,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.base import domains
 from slippulse_jax.base.choices import ContactLaw, Control, Top
-from slippulse_jax.base.domains import (
-    FRICTION,
-    HEIGHT,
-    MACHINE,
-    NORMAL_STIFFNESS,
-    POISSON,
-    STIFFNESS,
-    Domain,
-    check_choice,
-    check_kind,
-    check_whole,
-)
 from slippulse_jax.base.shown import html, in_a_line, short
 from slippulse_jax.base.units import Numbers, as_float, machine_ratio, quantity_field
 from slippulse_jax.slider import Real, Slider, from_si
@@ -44,12 +33,12 @@ RIGID = 1e12
 
 MOST_CONTACTS = 2**13
 """Largest number of contacts resolved of a block, whose response is a matrix of that size."""
-LENGTH = Domain(2, 2**31 - 1, "a block is at least two contacts long, and less than 2**31 - 1", closed="low")
+LENGTH = domains.Domain(2, 2**31 - 1, "a block is at least two contacts long, and less than 2**31 - 1", closed="low")
 _DOMAIN = {
-    "height": HEIGHT, "stiffness": STIFFNESS, "poisson": POISSON,
-    "normal_stiffness": NORMAL_STIFFNESS, "friction": FRICTION, "machine": MACHINE,
+    "height": domains.HEIGHT, "stiffness": domains.STIFFNESS, "poisson": domains.POISSON,
+    "normal_stiffness": domains.NORMAL_STIFFNESS, "friction": domains.FRICTION, "machine": domains.MACHINE,
 }  # fmt: skip
-OF_SIDE = Domain(0, 1, "must lie in (0, 1): a part of the height of the block")
+OF_SIDE = domains.Domain(0, 1, "must lie in (0, 1): a part of the height of the block")
 
 
 def _one(name: str, x: Any) -> Any:
@@ -109,7 +98,7 @@ class Push(eqx.Module):
         self.height, self.width, self.control = _one_or_none("Push.height", height), _one_or_none("Push.width", width), control
 
     def __check_init__(self) -> None:
-        check_choice("Push.control", self.control, Control)
+        domains.check_choice("Push.control", self.control, Control)
         if self.height is None:
             if self.width is not None:
                 raise ValueError("Push.width is given without a height: say at what height its centre is")
@@ -142,7 +131,7 @@ class Push(eqx.Module):
 
 def checked_sites(body: Any, sites: Any) -> int:
     """Number of contacts to resolve, if it fits memory and body."""
-    check_whole("sites", sites, 2)
+    domains.check_whole("sites", sites, 2)
     if sites > MOST_CONTACTS:
         raise ValueError(f"sites = {sites}: at most {MOST_CONTACTS} contacts of a body are resolved")
     if isinstance(body, Block) and sites < (body.sites or 0):
@@ -235,10 +224,10 @@ class Block(eqx.Module):
 
     def __check_init__(self) -> None:
         for name, choices in (("plane", Plane), ("contact_law", ContactLaw), ("top", Top)):
-            check_choice(f"Block.{name}", getattr(self, name), choices)
+            domains.check_choice(f"Block.{name}", getattr(self, name), choices)
         if self.friction is None and self.contact_law != "amontons":
             raise ValueError(f"Block.contact_law = {self.contact_law!r}: says what follows the pressure: give friction too")
-        check_kind("Block.push", self.push, Push)
+        domains.check_kind("Block.push", self.push, Push)
         for name, domain in _DOMAIN.items():
             value = getattr(self, name)
             if value is not None:

@@ -13,19 +13,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
+from slippulse_jax.base import domains
 from slippulse_jax.base.choices import RightEnd
-from slippulse_jax.base.domains import (
-    CORRELATION_LENGTH,
-    HEIGHT,
-    MACHINE,
-    POISSON,
-    SITES,
-    STIFFNESS,
-    YOUNG,
-    Domain,
-    check_choice,
-    check_kind,
-)
 from slippulse_jax.base.shown import html, in_a_line, short
 from slippulse_jax.base.units import Numbers, as_float, at_least_single, quantity, quantity_field
 
@@ -35,7 +24,10 @@ if TYPE_CHECKING:
 
 Real = Array | np.ndarray | np.floating | float
 
-_DOMAIN = {"height": HEIGHT, "stiffness": STIFFNESS, "poisson": POISSON, "length": SITES, "machine": MACHINE}
+_DOMAIN = {
+    "height": domains.HEIGHT, "stiffness": domains.STIFFNESS, "poisson": domains.POISSON,
+    "length": domains.SITES, "machine": domains.MACHINE,
+}  # fmt: skip
 
 
 class Fields(NamedTuple):
@@ -111,7 +103,7 @@ class Slider(eqx.Module):
         self.right = right or ("semi-infinite" if length is None else "free")
 
     def __check_init__(self) -> None:
-        check_choice("Slider.right", self.right, RightEnd)
+        domains.check_choice("Slider.right", self.right, RightEnd)
         if (self.right == "semi-infinite") != (self.length is None):
             needed = "has no length" if self.length is not None else "needs a length, the number of its contacts"
             raise ValueError(f"Slider.right = {self.right!r}: a slider with this end {needed}")
@@ -317,11 +309,12 @@ def from_si(
 ) -> tuple[dict[str, Any], Any]:
     """Lengths over λc, and k/K = (k/λc²) λc/E, from SI."""
     given = {**lengths, "correlation_length": correlation_length, "areal_stiffness": areal_stiffness, "young": young}
-    units, domains = {"areal_stiffness": "Pa/m", "young": "Pa"}, {"correlation_length": CORRELATION_LENGTH, "young": YOUNG}
+    units = {"areal_stiffness": "Pa/m", "young": "Pa"}
+    known = {"correlation_length": domains.CORRELATION_LENGTH, "young": domains.YOUNG}
     si = {name: as_float(f"{owner}: {name}", x, units.get(name, "m")) for name, x in given.items()}
     for name, value in si.items():
-        positive = Domain(0, np.inf, f"must be positive, in {units.get(name, 'm')}")
-        domains.get(name, positive).check(f"{owner}: {name}", value)
+        positive = domains.Domain(0, np.inf, f"must be positive, in {units.get(name, 'm')}")
+        known.get(name, positive).check(f"{owner}: {name}", value)
     in_contacts = {name: si[name] / si["correlation_length"] for name in lengths}
     return in_contacts, si["areal_stiffness"] * si["correlation_length"] / si["young"]
 
@@ -340,7 +333,7 @@ def broadcast(slider: Slider, *others: Any) -> list[Array]:
 
 def check_endless(owner: str, slider: Slider) -> None:
     """Refuse what is no slider, or has an end or machine."""
-    check_kind("slider", slider, Slider)
+    domains.check_kind("slider", slider, Slider)
     for name in ("length", "machine"):
         if getattr(slider, name) is not None:
             why = f"{owner} is of semi-infinite sliders whose edge is displaced; use precursor_length or first_precursor"

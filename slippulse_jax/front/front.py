@@ -65,7 +65,8 @@ REACHED = 6
 """Contacts through whose overloads the curve passes on which ℓ ends."""
 
 NEWTON_STEPS = 4
-"""Steps from the straight line to the end of the curve: four reach rounding, on contacts stiffer than any block more."""
+"""Steps from the straight line to the end of the curve: four reach rounding, on contacts stiffer than any block more.
+They are written out: XLA aborts on a loop, such as that of `root_between`, within the loop over lanes."""
 
 # --- one step ----------------------------------------------------------------------------------------------------------
 
