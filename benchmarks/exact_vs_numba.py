@@ -1,7 +1,7 @@
 """A million lengths over the whole domain: the exact solution, the recursion of this package, and the recursion in numba.
 
 Points: H/λc 2–10⁵ and k/K 1e-6–1 log-uniform, ν 0–0.5 uniform, unsorted. The recursion's time goes with the length, the exact
-solution's does not; `precursor_lengths` changes from one to the other at some 2000 contacts. Everything on all cores. numba is
+solution's does not; `precursor_lengths` changes from one to the other at some 8000 contacts. Everything on all cores. numba is
 timed on every n-th point of the same draw and scaled up.
 Run: python -m benchmarks exact_vs_numba [points [of them by numba]].
 """

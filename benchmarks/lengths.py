@@ -209,7 +209,7 @@ def _heights(found: dict) -> list[str]:
     if "heights" not in found or "tall" not in found:
         return []
     return [
-        "## Cost of a point against its height", "", "At b = 1, ν = 0.3, in µs per point; the batch takes the series from some 2000 contacts on.", "",
+        "## Cost of a point against its height", "", "At b = 1, ν = 0.3, in µs per point; the batch takes the series from some 8000 contacts on.", "",
         "| H/λc | contacts | recursion | batch |", "|---|---|---|---|",
         *(
             f"| {h:.0e} | {n:.0f} | {1e6 * r:.3g} | {1e6 * b:.3g} |"

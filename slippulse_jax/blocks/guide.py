@@ -233,7 +233,7 @@ def _driving_point_jvp(along: Along, primals: tuple[Slab], tangents: tuple[Slab]
 
 
 def _by_doubling(T: Float[Array, "n n"], first: Array, carried: Callable[[Array, Array], Array]) -> Array:
-    """Sum over m of what T^m carries on, by doubling the terms; differentiable."""
+    """Sum over m of what T^m carries on, by doubling."""
 
     def summed(T: Float[Array, "n n"], first: Array) -> Array:
         return lax.while_loop(felt, twice, (T, first, jnp.int32(0)))[1]

@@ -149,7 +149,7 @@ def resolved(*given: Any, sites: int | None, event: Callable[..., Found]) -> Fou
 
 
 def trials(contacts: int, most: int) -> Iterator[int]:
-    """Numbers of contacts to follow an event on, until it stops before the last."""
+    """Numbers of contacts to follow an event on, until it stops."""
     while contacts <= most:
         yield contacts
         contacts *= MORE_SITES

@@ -304,7 +304,7 @@ def held_from_left(chain: Chain, site: Springs) -> Springs:
 
 
 def carried_over(chain: Chain, site: Springs) -> tuple[Pair, Pair]:
-    """Displacements of sites 1 … N − 1 per displacement of the one before.
+    """Displacements of every site per displacement of the one before.
 
     The first pair is per displacement of the upper layer.
     """

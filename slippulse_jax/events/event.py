@@ -177,7 +177,7 @@ def event(
 
 
 def empty_log(breaks: int, dtype: Any) -> tuple[Int[Array, " L+1"], Float[Array, " L+1"], int]:
-    """The `log` of an `event`, for so many breaks from the first on."""
+    """The `log` of an `event`, for so many breaks."""
     return jnp.full(breaks + 1, -1, jnp.int32), jnp.zeros(breaks + 1, dtype), 0
 
 

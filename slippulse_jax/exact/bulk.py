@@ -1,9 +1,9 @@
-"""The exact solution by the million: ℓ* with derivatives, ℓ of long fronts, and where the edge breaks again.
+"""Exact solution of many sliders at once, in NumPy.
 
-NumPy in and out, double precision, every lane by itself.
+In double precision: lengths ℓ* with derivatives, ℓ of long fronts, and where the edge breaks again; every lane by itself.
 
 **Long fronts.** The recursion costs a nanosecond or two per lane and contact; the series
-(`slippulse_jax.exact.double_series`), some microseconds per lane. There ℓ is ℓ* to rounding.
+(`slippulse_jax.exact.double_series`), ten to twenty microseconds per lane. There ℓ is ℓ* to rounding.
 
 **Breaking again.** Contact 0 repins as the front starts, and every later break adds to the stress that it carries. Beyond an
 onset of the areal stiffness it is back at its threshold before the front stops.
@@ -37,7 +37,7 @@ ARREST_OUTCOMES = (*EXACT_OUTCOMES, Outcome.REBREAK)
 LAYOUT = Layout(chunk=32, fusion_emitters=False)
 """Lanes per chunk for which the second-level cache holds the rows of a table, with or without derivatives."""
 
-LONG = 2000.0
+LONG = 8000.0
 """Expected length from which the series is cheaper than the recursion, in λc (`benchmarks/lengths.py` measures where)."""
 
 NEVER = 3.0
@@ -114,7 +114,10 @@ def exact_lengths(
 
 
 def exact_fronts(lanes: Float[np.ndarray, "fields n"]) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Length ℓ* and `Outcome` of every column (H/λc, k/K, ν[, φ, ε]), whose domains the caller has checked."""
+    """Length ℓ* and `Outcome` of every column (H/λc, k/K, ν[, φ, ε]).
+
+    The caller has checked their domains.
+    """
     ((length, status),) = over_lanes(_crossings, lanes, LAYOUT, _effort)
     return length, status.astype(np.int32)
 
@@ -124,7 +127,7 @@ def _crossings(theta: Float[Array, "fields lanes"]) -> tuple[Array]:
 
 
 def _effort(lanes: Lanes) -> np.ndarray:
-    """Rank lanes by b, which determines the number of Newton steps, so that similar ones share a chunk."""
+    """Rank lanes by b, which determines the number of Newton steps."""
     with np.errstate(all="ignore"):
         height, stiffness, poisson = (np.asarray(x, np.float32) for x in lanes[:3])
         rank = np.log2(2 * (1 + poisson) * stiffness * height) * 256 + 16384
@@ -154,7 +157,7 @@ def which_are_long(lanes: Lanes) -> Int[np.ndarray, " m"]:
 
 
 def long_lengths(lanes: Lanes, most: int) -> Float[np.ndarray, " n"]:
-    """ℓ of relaxed lanes, from which ℓ* departs by less than rounding; NaN where the recursion has to decide."""
+    """Lengths ℓ of long relaxed lanes; NaN where the recursion must decide."""
     length, status = exact_fronts(np.stack([*lanes]))
     long = (length > LONG / 2) & (length < most)  # on stiff contacts it may be short after all
     return np.where((status == Outcome.ARRESTED) & long, length, np.nan)
@@ -172,7 +175,10 @@ def exact_arrests(lanes: Float[np.ndarray, "5 n"]) -> tuple[Float[np.ndarray, " 
 def _with_edge(
     lanes: Float[np.ndarray, "5 n"],
 ) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """As `exact_fronts`, with the stress on contact 0 behind the front; NaN where it cannot reach its threshold."""
+    """As `exact_fronts`, with the stress on contact 0 behind the front.
+
+    NaN where it cannot reach its threshold.
+    """
     length, status = exact_fronts(lanes)
     edge = np.full(length.shape, np.nan)
     b = 2 * (1 + lanes[2]) * lanes[1] * lanes[0]
@@ -217,7 +223,7 @@ def rebreaking_onset(height: Any, poisson: Any, prestress: Any = 0.0) -> Float[n
     height, poisson, prestress = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (height, poisson, prestress)))
 
     def overload(b: Float[np.ndarray, "*n"], *given: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """Excess on contact 0 behind the front, in σ_s; −1 where it cannot break again."""
+        """Excess on contact 0, in σ_s; −1 where it cannot break again."""
         b, H, nu, phi = np.broadcast_arrays(b, *given)
         lanes = np.stack([x.ravel() for x in (H, b / (2 * (1 + nu) * H), nu, phi, np.zeros(b.shape))])
         return np.nan_to_num(_with_edge(lanes)[2] - 1, nan=-1).reshape(b.shape)

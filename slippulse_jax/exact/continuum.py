@@ -24,7 +24,10 @@ from slippulse_jax.slider import Fields, Slider, each_slider
 
 
 def _line(slider: Slider) -> tuple[double_series.Series, Array, Array, Array]:
-    """The series; 1/α_m; V_m at nucleation (cra18), of sum 1; and t(0) − 1, what contact 0, repinned at u_s, adds."""
+    """Series of the front stress on a line, and its edge.
+
+    Return it; 1/α_m; V_m at nucleation (cra18), of sum 1; and t(0) − 1, what contact 0, repinned at u_s, adds.
+    """
     k, q = jnp.stack([slider.kappa_1, slider.kappa_2]), jnp.asarray(slider.stiffness)
     alpha = jnp.stack([slider.alpha_1, slider.alpha_2])
     share = jnp.stack([-alpha[0], alpha[1]]) * slider.kappa_T**2 / slider.mode_splitting
@@ -34,7 +37,7 @@ def _line(slider: Slider) -> tuple[double_series.Series, Array, Array, Array]:
     edge = upper[0] * pull[1] - upper[1] * pull[0]
 
     def amplitudes(first: Array, second: Array) -> Array:
-        """B_m from Σ B_m/α_m = first, Σ (κ_m + κ²) B_m = second."""
+        """B_m of Σ B_m/α_m = first, Σ(κ_m + κ²) B_m = second."""
         return jnp.stack([first * pull[1] - upper[1] * second, upper[0] * second - first * pull[0]]) / edge
 
     per_load = amplitudes(jnp.ones_like(KT), KT)
@@ -46,14 +49,17 @@ def _line(slider: Slider) -> tuple[double_series.Series, Array, Array, Array]:
 
 
 def _differentiable(function: Any) -> Any:
-    """`function` of a slider and scalars, whose loops have a forward derivative only, with derivatives in every mode."""
+    """Give a `function` of slider and scalars derivatives in every mode."""
     of_numbers = by_forward_mode(lambda theta, *rest: function(Slider(theta[0], theta[1], theta[2]), *rest))
     return lambda slider, *rest: of_numbers(jnp.stack([slider.height, slider.stiffness, slider.poisson]), *rest)
 
 
 @jax.jit
 def continuum_stress(slider: Slider, s: Any) -> Float[Array, "..."]:
-    """Front stress ũ(s+0; s) at s > 0 (labels cra26, cra33), in σ_s; at s = 0 its limit once contact 0 has broken."""
+    """Front stress ũ(s+0; s) at s > 0 (labels cra26, cra33).
+
+    In σ_s; at s = 0 the limit once contact 0 has broken.
+    """
     return each_slider(_differentiable(lambda x, y: double_series.stress(_line(x)[0], y)[0]), slider, s)
 
 
@@ -69,7 +75,10 @@ def length_continuum(slider: Slider) -> Float[Array, "..."]:
         about = expected_length(slider.height, slider.stiffness, slider.poisson)
 
         def excess(x: tuple[double_series.Series, Array], s: Array) -> Array:
-            """t(s) − 1 without the difference, which on soft interfaces is as little as b."""
+            """Excess over the threshold, without the difference t(s) − 1.
+
+            On soft interfaces it is as little as b.
+            """
             solution, first = x
             return first + double_series.rise(solution, s)[0]
 
@@ -80,9 +89,10 @@ def length_continuum(slider: Slider) -> Float[Array, "..."]:
 
 @jax.jit
 def continuum_fields(slider: Slider, s: Any, x: Any) -> Fields:
-    """Fields at x ≥ 0 with the front at s (labels cra28–cra33); s = 0 is nucleation (labels cra17, cra18).
+    """Fields at x ≥ 0 with the front at s (labels cra28–cra33).
 
-    They solve labels cra08, cra09 under the conditions of labels cra14, cra15, cra27, cra34–cra37.
+    They solve labels cra08, cra09 under the conditions of labels cra14, cra15, cra27, cra34–cra37; s = 0 is nucleation (labels
+    cra17, cra18).
 
     At x = s the values are those just ahead of the front. Behind it u = t(x) + Σ_m W_m X_m + Σ_mn R_mn e^{−(κ_m+κ_n)x} X_n,
     X_m = ∫_x^s e^{−κ_m(y−x)} t(y) dy.

@@ -1,4 +1,4 @@
-r"""Crack-like first precursors: behind the tip contacts slide at constant friction, and heal only when the front has stopped.
+r"""Crack-like first precursors, whose contacts slide until the front has stopped.
 
 The quasi-static limit of `slippulse_jax.rules.CrackLike`, with which the paper compares its pulses. The left edge is loaded
 until contact 0 carries its threshold; a contact that reaches it slides at the friction σ_k. With displacements beyond those of
@@ -38,13 +38,13 @@ NOISE = 1e9
 
 
 Displacements = Callable[[Array], tuple[Array, Array]]
-"""u_t and u at a site."""
+"""Displacements u_t and u at a site."""
 
 
 def sliding(slider: Slider, ratio: Array, position: Array) -> tuple[Displacements, Displacements, Modes]:
-    """Displacements behind the tip, and from the tip on; and the modes. Scalars, `ratio` is ρ.
+    """Displacements behind the tip, and from the tip on; and the modes.
 
-    In equilibrium with contacts 0 … n − 1 sliding, beyond the prestress and in units of 1 − φ.
+    Of scalars, `ratio` being ρ. In equilibrium with contacts 0 … n − 1 sliding, beyond the prestress and in units of 1 − φ.
     """
     modes = lattice_modes(slider)
     K_L, K_T, n = jnp.asarray(slider.K_L), jnp.asarray(slider.K_T), position
@@ -85,12 +85,14 @@ def sliding(slider: Slider, ratio: Array, position: Array) -> tuple[Displacement
 
 
 def stress_ahead(slider: Slider, ratio: Array, position: Array) -> Array:
-    """(t − φ)/(1 − φ) on the contact at the tip, just before it slides."""
+    """Stress (t − φ)/(1 − φ) at the tip, before it slides."""
     return sliding(slider, ratio, position)[0](position)[1]
 
 
 def length(slider: Slider, friction: Array, prestress: Array) -> tuple[Array, Array]:
-    """Length of the crack-like first precursor in λc, and its `Outcome`; of one slider, with derivatives in every mode.
+    """Length of the crack-like first precursor in λc, and its `Outcome`.
+
+    Of one slider, with derivatives in every mode.
 
     `RUN_AWAY` where nothing stops the tip, as contacts whose prestress exceeds their friction may not; 0 where the neighbour of
     contact 0 stays below its threshold.
@@ -120,7 +122,10 @@ def length(slider: Slider, friction: Array, prestress: Array) -> tuple[Array, Ar
 
 @in_full
 def fields(slider: Slider, friction: Array, prestress: Array, position: Array, site: Array) -> tuple[Array, Array]:
-    """Slip and stress at a contact when contacts before `position` slide, or slid until the front stopped; scalars."""
+    """Slip and stress at a contact beside the tip at `position`.
+
+    Contacts before it slide, or slid until the front stopped; scalars.
+    """
     behind, ahead, modes = sliding(slider, (friction - prestress) / (1 - prestress), position)
     slides = site < position
     layer = jnp.where(slides, behind(jnp.minimum(site, position))[1], ahead(jnp.maximum(site, position))[1])

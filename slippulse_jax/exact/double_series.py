@@ -1,4 +1,4 @@
-r"""The solution of the front's recursion as a double power series, for any number of fronts at once.
+r"""Solution of the front's recursion as a double power series.
 
 The recursion of `slippulse_jax.front.front`, written for the two parts V_m of the stress t = φ + V_1 + V_2 ahead of the
 front (φ a uniform prestress), is a linear q-difference system,
@@ -49,7 +49,7 @@ Lanes = Float[Array, "*lanes"]
 
 
 class System(eqx.Module):
-    """What the table and its amplitudes are made of; F families, one per start."""
+    """Numbers of which table and amplitudes are made; a family per start."""
 
     gap: Float[Array, "2 *lanes"]  # 1 − r_m
     coupling: Float[Array, "2 *lanes"]  # r_m w_m
@@ -69,23 +69,23 @@ class System(eqx.Module):
 
     @property
     def weight(self) -> Float[Array, "2 *lanes"]:
-        """w_m; on a line W_m."""
+        """Response w_m; on a line W_m."""
         return self.coupling / (1 - self.gap) if self.lattice else self.coupling
 
     @property
     def reflection(self) -> Float[Array, "2 2 *lanes"]:
-        """R_mn."""
+        """Reflection R_mn at the edge."""
         return self.reflected / (1 - self.gap)[:, None] if self.lattice else self.reflected
 
     @property
     def mode_rate(self) -> Float[Array, "2 *lanes"]:
-        """−ln r_m."""
+        """Decay rates −ln r_m."""
         half = self.level_rate / 2
         return jnp.stack([self.column_rate + half, half])
 
 
 class Series(NamedTuple):
-    """Table and amplitudes of every lane."""
+    """Table and amplitudes of the solution, of every lane."""
 
     system: System
     table: Float[Array, "k F a *lanes"]  # τ
@@ -98,7 +98,7 @@ class Series(NamedTuple):
 def system_of(
     gap: Array, coupling: Array, reflected: Array, start: Array, prestress: Array | None = None, runaway: Array | None = None
 ) -> System:
-    """Roots ρ_j of A, their distances, and the first step of the front.
+    """Roots of A, their distances, and the front's first step.
 
     From 1 − r_m, r_m w_m and r_m R_mn, lanes last (on a line κ_m, W_m, R_mn), V(0), φ and φ_c = (1 + G_00)/2, the run-away
     prestress. Without φ the family of terms that it would add is left out; without φ_c it is a line, whose φ_c is 1/2.
@@ -177,14 +177,17 @@ class _Progress(NamedTuple):
 
 
 def _resonance(system: System) -> Float[Array, "F *lanes"]:
-    """Index n of every family's resonance: of the prestress's never 0, of ρ_1's own always."""
+    """Nearest resonance n of every family.
+
+    Of the prestress's it is never 0, of ρ_1's own always.
+    """
     distance = (system.rate[:1] - system.rate) / system.level_rate[None]
     least = np.arange(len(system.rate)) == 2
     return jnp.maximum(jnp.round(distance), jnp.asarray(_column(least, distance.ndim - 1), distance.dtype))
 
 
 def _table(system: System) -> _Progress:
-    """Rows until every lane has ended, or `ROWS`."""
+    """Fill rows until every lane has ended, `ROWS` at most."""
     families, *lanes = system.rate.shape
     one, width, resonance = jnp.ones_like(system.rate), 2 * ROWS + 1, _resonance(system)
     start = _Progress(
@@ -223,14 +226,20 @@ def _table(system: System) -> _Progress:
 
 
 def _gaps(system: System, rate: Lanes, count: int) -> Float[Array, "count *lanes"]:
-    """1 − e^{−n rate}, n = 0 … count − 1; on a line n rate."""
+    """Gaps 1 − e^{−n rate}, n < `count`.
+
+    On a line n rate.
+    """
     if system.lattice:
         return power_gaps(decayed(rate), count)
     return jnp.asarray(_column(np.arange(float(count)), rate.ndim), rate.dtype) * rate[None]
 
 
 def _sources(system: System, above: Array) -> tuple[Array, Array]:
-    """g_m of one row from the row above, which has two columns of zeros first."""
+    """Sources g_m of one row, from the row above.
+
+    That has two columns of zeros first.
+    """
     (R11, R12), (R21, R22) = system.reflected[:, :, None, None]
     two, one, zero = above[:, :-2], above[:, 1:-1], above[:, 2:]
     return R11 * two + R12 * one, R21 * one + R22 * zero
@@ -239,7 +248,7 @@ def _sources(system: System, above: Array) -> tuple[Array, Array]:
 def _entries(
     system: System, above: Array, gap: Array, rho: Array, resonance: Array, state: tuple[Array, Array, Array]
 ) -> tuple[Array, Array, Array]:
-    """τ of one row, ρ_1's series with this row added, and κ.
+    """Compute τ of one row, ρ_1's series with it added, and κ.
 
     Beyond the resonance the families of ρ_2 and of the prestress obey (μ − A) V_ka = g_ka − κ p V¹_{k−n,a} with
     p = (r_2²)^{k−n} (r_1/r_2)^a, where V¹ is ρ_1's series in units of V¹_00 = (r_1 w_1, ρ_1 − A_11), whose stress is ρ_1 − r_1.
@@ -276,10 +285,10 @@ def _entries(
 
 
 def _sums(series: Series, s: Lanes) -> tuple[Array, Array, Array]:
-    """Σ τ (1 − p^s), Σ τ p^s and −Σ τ p^s ln p of every family, p = μ/start.
+    """Sum each family at s: what is lost, left, and bends.
 
-    By Horner's rule in u = r_2^{2s}: what row k has lost is (1 − u^k) Σ_a τ + u^k Σ_a τ (1 − v^a), v = (r_1/r_2)^s, and
-    (1 − u^k) sums to (1 − u) Σ_k u^k times the rows above k.
+    These are Σ τ (1 − p^s), Σ τ p^s and −Σ τ p^s ln p, p = μ/start. By Horner's rule in u = r_2^{2s}: what row k has lost is
+    (1 − u^k) Σ_a τ + u^k Σ_a τ (1 − v^a), v = (r_1/r_2)^s, and (1 − u^k) sums to (1 − u) Σ_k u^k times the rows above k.
     """
     system, width = series.system, series.table.shape[2]
     rate, columns = system.column_rate[None], power_gaps(decayed(s * system.column_rate), width)
@@ -305,7 +314,7 @@ def _sums(series: Series, s: Lanes) -> tuple[Array, Array, Array]:
 
 
 def rise(series: Series, s: Lanes) -> tuple[Lanes, Lanes]:
-    """t(s) − t(0) and t'(s).
+    """Rise t(s) − t(0) of the front stress, and t'(s).
 
     Summed as what every term has lost since s = 0: soft interfaces lift t by as little as b, which t − 1 would lose.
     """
@@ -321,9 +330,9 @@ def rise(series: Series, s: Lanes) -> tuple[Lanes, Lanes]:
 
 
 def stress(series: Series, s: Lanes) -> tuple[Lanes, Lanes]:
-    """t(s), the stress on contact s when all before it have broken, in σ_s, and t'(s).
+    """Stress t(s) at the front, in σ_s, and t'(s).
 
-    Every digit at any s ≥ 0, however far beyond the crossing.
+    On contact s when all before it have broken. Every digit at any s ≥ 0, however far beyond the crossing.
     """
     c, rate = series.amplitude, series.system.rate
     _, left, bent = _sums(series, s)
@@ -336,7 +345,10 @@ def stress(series: Series, s: Lanes) -> tuple[Lanes, Lanes]:
 
 
 def parts(series: Series, s: Lanes) -> Float[Array, "2 *lanes"]:
-    """V_1(s), V_2(s), from the stress and its next step (on a line its slope): two linear equations."""
+    """Parts V_1(s), V_2(s) of the stress in the two modes.
+
+    From the stress and its next step (on a line its slope): two linear equations.
+    """
     system = series.system
     t, slope = stress(series, s)
     step = stress(series, s + 1)[0] - t if system.lattice else slope
@@ -348,7 +360,10 @@ def parts(series: Series, s: Lanes) -> Float[Array, "2 *lanes"]:
 
 
 def stress_sums(series: Series, low: Lanes, high: Lanes) -> Float[Array, "2 *lanes"]:
-    """Σ_{low ≤ j < high} r_m^{j − low} t(j) for whole `low` ≤ `high`, term by term; on a line the integral."""
+    """Sum r_m^{j − low} t(j) over low ≤ j < high.
+
+    Term by term, for whole `low` ≤ `high`; on a line the integral.
+    """
     system, span = series.system, high - low
     k, a = (_column(np.arange(n, dtype=low.dtype), low.ndim) for n in (series.table.shape[0], series.table.shape[2]))
     rate = (k[:, None] * system.level_rate[None, None] + a[None] * system.column_rate[None, None])[None, None]
@@ -360,11 +375,11 @@ def stress_sums(series: Series, low: Lanes, high: Lanes) -> Float[Array, "2 *lan
         return x[None, :, None, None]
 
     def over(every: Array) -> Array:
-        """1 − e^{−rate}, what a geometric series is divided by; on a line the rate."""
+        """Divisor 1 − e^{−rate} of geometric series; on lines the rate."""
         return -jnp.expm1(-every) if system.lattice else every
 
     def summed(start: Array) -> Array:
-        """Σ μ^j r_m^{j − low}, μ = e^{−start − rate}."""
+        """Sum of μ^j r_m^{j − low}, μ = e^{−start − rate}."""
         every = start + rate + modes
         return -jnp.exp(-begin * (start + rate)) * jnp.expm1(-length * every) / over(every)
 
@@ -380,9 +395,10 @@ def stress_sums(series: Series, low: Lanes, high: Lanes) -> Float[Array, "2 *lan
 
 @in_full
 def fields(series: Series, s: Array, x: Array, initial: Array | None = None) -> tuple[Float[Array, "2"], Float[Array, ""]]:
-    """Parts of the layer's displacement at x in the two modes, and the stress there, with the front at s; scalars.
+    """Layer's displacement in the two modes and stress, at x.
 
-    Ahead of the front V_m(s) decays. Behind it contacts were repinned at zero stretch, and later breaks loaded them by
+    With the front at s; scalars. Ahead of the front V_m(s) decays. Behind it contacts were repinned at zero stretch, and later
+    breaks loaded them by
 
         Σ_m w_m X_m + Σ_mn R_mn (r_m r_n)^x X_n,     X_m = Σ_{x≤j<s} r_m^{j−x} t(j),
 
@@ -400,9 +416,9 @@ def fields(series: Series, s: Array, x: Array, initial: Array | None = None) -> 
 
 
 def edge_stress(series: Series, broken: Lanes) -> Lanes:
-    """Stress on contact 0 when contacts 0 … `broken` − 1 have broken in turn, in σ_s.
+    """Stress on contact 0 once `broken` contacts have broken in turn.
 
-    Every break adds to it, so that the stress at the arrest is the largest on the way.
+    In σ_s. Every break adds to it, so that the stress at the arrest is the largest on the way.
     """
     reached = series.system.weight + series.system.reflection.sum(0)
     return (reached * stress_sums(series, jnp.zeros_like(broken), broken)).sum(0)
@@ -414,7 +430,10 @@ def whole_contacts(length: Lanes) -> Lanes:
 
 
 def _difference(series: Series, s: Lanes) -> tuple[Array, Array]:
-    """D(s) of every family, on a line (e^{−xs} − e^{−ys})/(y − x) in the rates themselves, and D'(s)."""
+    """Divided difference D(s) of every family, and D'(s).
+
+    On a line (e^{−xs} − e^{−ys})/(y − x) in the rates themselves.
+    """
     x, y, at = series.echo_rate, series.system.rate[:1], s[None]
     D = divided_difference(x, y, at) if series.system.lattice else overlap(x, y, at)
     if not series.system.lattice:
@@ -431,30 +450,42 @@ def _slower(x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def overlap(x_rate: Array, y_rate: Array, s: Array) -> Array:
-    """∫_0^s e^{−x(s−y) − zy} dy = (e^{−xs} − e^{−zs})/(z − x) for rates x, z; regular, with all its derivatives, at x = z."""
+    """Overlap (e^{−xs} − e^{−zs})/(z − x) of two decays.
+
+    ∫_0^s e^{−x(s−y) − zy} dy for rates x, z; regular, with all its derivatives, at x = z.
+    """
     slower, distance = _slower(x_rate, y_rate)
     return jnp.exp(-slower * s) * s * _relaxation(s * distance)
 
 
 def exponential_terms(x: Array) -> Float[Array, "20"]:
-    """xⁿ/n!, the terms of e^x for |x| ≤ 1/4: the first one left out is below (1/4)²⁰/20! = 4e-31."""
+    """Terms xⁿ/n! of e^x for |x| ≤ 1/4.
+
+    The first one left out is below (1/4)²⁰/20! = 4e-31.
+    """
     return jnp.concatenate([jnp.ones_like(x)[None], jnp.cumprod(x / np.arange(1.0, 20).astype(x.dtype))])
 
 
 def divided_difference(x_rate: Array, y_rate: Array, s: Array) -> Array:
-    """D(s) = (x^s − y^s)/(x − y) from rates −ln x, −ln y; regular, with all its derivatives, at x = y."""
+    """Divided difference D(s) = (x^s − y^s)/(x − y).
+
+    From the rates −ln x, −ln y; regular, with all its derivatives, at x = y.
+    """
     slower, distance = _slower(x_rate, y_rate)
     return jnp.exp(-slower * (s - 1)) * s * _relaxation(s * distance) / _relaxation(distance)
 
 
 def _relaxation(z: Array) -> Array:
-    """(1 − e^{−z})/z, regular at 0."""
+    """Relaxation (1 − e^{−z})/z, regular at 0."""
     return _moment(0, z)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _moment(n: int, z: Array) -> Array:
-    """∫_0^1 y^n e^{−zy} dy, by its Taylor series near 0, where the quotient cancels. Its derivative is minus the next one."""
+    """Moment ∫_0^1 y^n e^{−zy} dy; its derivative is minus the next one.
+
+    By its Taylor series near 0, where the quotient cancels.
+    """
     small = (z < 1) & (z > -1)
     z0, z1 = jnp.where(small, z, 0), jnp.where(small, 1, z)
     series = jnp.ones_like(z)
@@ -482,7 +513,10 @@ def _column(x: np.ndarray, lanes: int) -> np.ndarray:
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))
 def power_gaps(gap: Lanes, count: int) -> Float[Array, "count *lanes"]:
-    """1 − (1 − gap)^n, n = 0 … count − 1, as sums of positive numbers."""
+    """Gaps of powers, 1 − (1 − gap)^n, below n = `count`.
+
+    As sums of positive numbers.
+    """
     out = jnp.stack([jnp.zeros_like(gap), gap])
     while out.shape[0] < count:  # twice as many powers by one product: 1 − xy = (1 − x) + x (1 − y)
         step = out[-1] + (1 - out[-1]) * gap
@@ -500,7 +534,10 @@ def _power_gaps_move(count: int, at: tuple[Array], way: tuple[Array]) -> tuple[A
 
 @jax.custom_jvp
 def decayed(x: Array) -> Array:
-    """1 − e^{−x} for x ≥ 0, to a few roundings: a polynomial for x/64, doubled six times, so that it vectorises."""
+    """Decayed part 1 − e^{−x}, x ≥ 0.
+
+    To a few roundings: a polynomial for x/64, doubled six times, so that it vectorises.
+    """
     y = jnp.minimum(x, 44) / 64
     e = jnp.ones_like(y)
     for n in range(15, 1, -1):

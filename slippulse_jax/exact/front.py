@@ -37,7 +37,7 @@ from slippulse_jax.slider import Fields, Slider, broadcast, check_endless, of_on
 
 
 class ExactFront(NamedTuple):
-    """The first precursor by the exact solution; every field has the shape of the batch."""
+    """First precursor by the exact solution; fields have the batch's shape."""
 
     length: Float[Array, "..."]  # ℓ*, in λc
     contacts_broken: Int[Array, "..."]  # ceil(ℓ*), at least 1; −1 where the length is not finite
@@ -112,7 +112,9 @@ def exact_front(slider: Slider, interface: Interface | None = None) -> ExactFron
 
 
 def exact_front_stress(slider: Slider, s: AnyArrayLike, interface: Interface | None = None) -> Float[Array, "..."]:
-    """Stress t(s) on contact s just before it would break, all contacts before it having broken; real s ≥ 0, in σ_s.
+    """Stress t(s) on contact s just before it would break, in σ_s.
+
+    All contacts before it have broken; s ≥ 0 is real.
 
     Parameters
     ----------
@@ -140,7 +142,9 @@ def _stress(*arguments: Array) -> Array:
 
 
 def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, interface: Interface | None = None) -> Fields:
-    """Displacements and stress at `site` when the front has broken contacts 0 … s − 1 and the next has not broken yet.
+    """Displacements and stress at `site` when the front has reached s.
+
+    It has broken contacts 0 … s − 1, and the next has not broken yet.
 
     Parameters
     ----------
@@ -182,7 +186,7 @@ def _fields(*arguments: Array) -> tuple[Array, Array, Array]:
 
 
 def uniform(interface: Interface | None) -> tuple[AnyArrayLike, AnyArrayLike]:
-    """Return prestress and threshold slope of an interface, for which the closed form must hold.
+    """Return prestress and threshold slope of a uniform interface.
 
     A TypeError, if it is a profile, names the function to use instead.
     """
@@ -197,7 +201,10 @@ def uniform(interface: Interface | None) -> tuple[AnyArrayLike, AnyArrayLike]:
 
 
 def _contacts(interface: Interface | None) -> tuple[AnyArrayLike, ...]:
-    """φ and ε of a uniform interface; nothing where both are left at zero, so that compiled code can leave them out."""
+    """Return φ and ε; nothing where both are left at zero.
+
+    Compiled code then leaves them out.
+    """
     numbers = uniform(interface)
     return () if all(map(_is_zero, numbers)) else numbers
 
@@ -209,10 +216,10 @@ def _is_zero(value: Any) -> bool:
 
 @partial(jax.jit, static_argnums=0)
 def _each(function: Any, *arguments: Array) -> Any:
-    """`function` of scalars, mapped over arguments that broadcast; compiled once for each function and set of shapes.
+    """Map a `function` of scalars over arguments that broadcast.
 
-    Quantities that depend on some of the arguments only, as the series does on the slider, are computed once for those:
-    `jnp.vectorize` maps only the axes that an argument has.
+    It is compiled once for each function and set of shapes. Quantities that depend on some of the arguments only, as the
+    series does on the slider, are computed once for those: `jnp.vectorize` maps only the axes that an argument has.
     """
     return jnp.vectorize(function)(*arguments)
 
@@ -233,9 +240,10 @@ def _front(*theta: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def crossing_of(theta: Float[Array, " n"], *, rebreaks: bool = False) -> tuple[Array, Array]:
-    """(ℓ*, status) with the forward derivatives of an implicit function: dℓ* = −d(t − 1 − εs)/(t' − ε), d at fixed s.
+    """Find ℓ* and status, with forward derivatives of the implicit function.
 
-    `REBREAK` is told from `ARRESTED` with `rebreaks` only, since that takes one more sum.
+    dℓ* = −d(t − 1 − εs)/(t' − ε), d at fixed s. `REBREAK` is told from `ARRESTED` with `rebreaks` only, since that takes one
+    more sum.
     """
 
     @jax.custom_jvp

@@ -32,7 +32,7 @@ def test_lengths():
     """Short and long fronts, each by a program of their own; in chunks of another size, and in arrays of another shape."""
     rng = np.random.default_rng(5)
     short = np.stack([1 + 10 ** rng.uniform(-1, 3.3, 1000), 10 ** rng.uniform(-5, 0, 1000), rng.uniform(-0.9, 0.5, 1000)])
-    long = np.stack([10 ** rng.uniform(2.7, 4.0, 120), 10 ** rng.uniform(-4, -0.5, 120), rng.uniform(0, 0.5, 120)])
+    long = np.stack([10 ** rng.uniform(3.3, 4.6, 120), 10 ** rng.uniform(-4, -0.5, 120), rng.uniform(0, 0.5, 120)])
     assert 20 < len(exact_lanes.which_are_long(long)) < 100
     alike(of_sliders, long)
     whole = alike(of_sliders, short)

@@ -111,7 +111,7 @@ def test_the_last_break_that_is_allowed():
 def test_long_fronts_by_the_series_equal_the_recursion():
     rng = np.random.default_rng(5)
     n = 120
-    points = np.stack([10 ** rng.uniform(2.7, 4.0, n), 10 ** rng.uniform(-4, -0.5, n), rng.uniform(0, 0.5, n)])
+    points = np.stack([10 ** rng.uniform(3.3, 4.6, n), 10 ** rng.uniform(-4, -0.5, n), rng.uniform(0, 0.5, n)])
     long = exact_lanes.which_are_long(points)
     assert 20 < len(long) < 100
     whole = sp.precursor_lengths(sp.Slider(*points))
