@@ -78,7 +78,7 @@ class Push(eqx.Module):
     ----------
     height : float, optional
         Height of its centre over H; without `width`, of its lower end: it then covers everything above. Without either it
-        covers the whole side, which loads contacts alike: no domino starts.
+        covers the whole side.
     width : float, optional
         Height of the part of the side that it covers, over H.
     control : {"displacement", "force"}

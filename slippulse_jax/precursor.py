@@ -135,10 +135,11 @@ def _whole(slider: Slider, interface: AnyInterface, sites: int | None) -> Array:
     shape = () if isinstance(interface, Profile) else np.broadcast_shapes(*map(np.shape, numbers))
     on = under_grad_too(partial(size.resolved, sites=sites, event=partial(first.length, kind="full")))
     if sites is None and not isinstance(interface, Profile) and not is_traced(numbers):
-        if not shape and ROOM * quantity("length", slider, interface) <= MOST_SITES:
+        front, status = (quantity(name, slider, interface) for name in ("length", "status"))
+        if not shape and status == Outcome.REBREAK and ROOM * front <= MOST_SITES:
             with contextlib.suppress(size.NotFollowed):
                 return on(slider, interface)
-        found = np.asarray(whole_lengths(slider, interface))  # in bulk; or on larger contacts, or without a length
+        found = np.asarray(whole_lengths(slider, interface))  # many; the front alone; on larger contacts; without a length
         missing = np.where(np.isnan(found), Outcome.LIMIT, Outcome.ARRESTED)
         report_without_length(missing, raises=found.ndim == 0, stacklevel=4)
         return jnp.asarray(found)

@@ -84,6 +84,9 @@ class FirstPrecursor(eqx.Module):
             f"first precursor: {broken} contact{'s' * (broken != 1)} broken, length {float(self.length):.6g} λc, "
             f"load at nucleation {float(self.load):.6g} u_s; {Outcome(int(self.status)).message}"
         )
+        push = getattr(self.body, "push", None)
+        if int(self.status) == Outcome.NO_DOMINO and push is not None and push.height is None:
+            text += "; a side that is pushed as a whole loads every contact alike, which leaves the neighbour just below"
         text += f"; it begins at contact {first}, not at the edge" if first else ""
         return text + (f"; contacts behind the front break again, {breaks} breaks in all" if breaks > broken else "")
 

@@ -276,7 +276,7 @@ def passage(
 def run_over(
     modes: Modes, loaded: Array, prestress: Float[Array, " n"], part: Callable[..., Any] = lambda stress: 1, *values: Array
 ) -> Float[Array, " n"]:
-    """Run a front over contacts, past its arrest: t(0), t(1) …
+    """Stress t(s) on each contact as a front runs over all.
 
     In reverse mode a derivative in all thresholds and prestresses is one pass back, O(1) per contact.
 

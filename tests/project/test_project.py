@@ -265,11 +265,11 @@ PATHS = {  # a call, the function whose body holds the line, and the most frames
         "end_of_front",
         7,
     ),
-    "rupture": (lambda: sp.rupture(sp.chain(sp.Slider(25.0, 0.03, 0.3), sites=23)), "column", 10),
-    "whole event": (lambda: sp.precursor_length(sp.Slider(21.0, 0.1, 0.3, length=87), event="full"), "column", 11),
+    "rupture": (lambda: sp.rupture(sp.chain(sp.Slider(25.0, 0.03, 0.3), sites=23)), "next_of", 10),
+    "whole event": (lambda: sp.precursor_length(sp.Slider(21.0, 0.1, 0.3, length=87), event="full"), "next_of", 11),
     "block": (
         lambda: sp.precursor_length(sp.Block(24.0, 0.03, 0.3, sp.Push(0.25, 0.1), length=72, friction=0.29)),
-        "column",
+        "next_of",
         11,
     ),
 }
