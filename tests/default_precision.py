@@ -30,7 +30,7 @@ def stress_in_the_block():
 
 def of_fields():
     found = sp.first_precursor(BLOCK)
-    return blocks.fields(found.block, found.load, found.pinning).vertical[:, -1]
+    return blocks.fields(found.body, found.load, found.pinning).vertical[:, -1]
 
 
 def of_series():

@@ -68,7 +68,7 @@ def test_precision_of_blocks(float32):
     assert sp.precursor_length(sp.Block(10.0, 0.05, 0.3)).dtype == jnp.float32
     block = sp.Block(10.0, 0.05, 0.3)
     found = sp.first_precursor(block)
-    assert found.block is block
+    assert found.body is block
     assert {x.dtype.name for x in (found.length, found.stress, found.load, found.breaks)} == {"float32", "int32"}
     with jax.enable_x64(True):
         assert sp.precursor_length(sp.Block(jnp.float32(10.0), 0.05, 0.3)).dtype == jnp.float64
