@@ -130,13 +130,18 @@ class Push(eqx.Module):
 
 
 def checked_sites(body: Any, sites: Any) -> int:
-    """Number of contacts to resolve, if it fits memory and body."""
-    domains.check_whole("sites", sites, 2)
-    if sites > MOST_CONTACTS:
-        raise ValueError(f"sites = {sites}: at most {MOST_CONTACTS} contacts of a body are resolved")
-    if isinstance(body, Block) and sites < (body.sites or 0):
-        raise ValueError(f"sites = {sites}: a block of {body.sites} contacts needs all of them")
-    return int(sites)
+    """Number of contacts to resolve: all of a body that ends."""
+    own = getattr(body, "sites", None)
+    own = None if own is None or isinstance(own, Tracer) else int(own)
+    if sites is None and own is None and hasattr(body, "sites"):
+        raise ValueError(f"{body} has no end: give sites, the number of contacts resolved")
+    domains.check_whole("sites", own if sites is None else sites, 2)
+    found = int(sites if own is None else own)
+    if found > MOST_CONTACTS:
+        raise ValueError(f"sites = {found}: at most {MOST_CONTACTS} contacts of a body are resolved")
+    if sites is not None and sites < found:
+        raise ValueError(f"sites = {sites}: a {type(body).__name__.lower()} of {found} contacts needs all of them")
+    return found
 
 
 def has_push(given: Container[str], control: Control) -> bool:

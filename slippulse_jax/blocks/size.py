@@ -85,7 +85,7 @@ def first_precursor(body: Any, interface: AnyInterface, sites: int | None, kind:
     found = in_double(_record)(body, interface, sites, kind)
     _warn_of_few_sites(body, sites, found.length)
     own = getattr(body, "sites", None)
-    if own is not None:  # no more than it has
+    if own is not None and not isinstance(own, Tracer):  # no more than it has
         found = jax.tree.map(lambda x: x[: int(own)] if jnp.ndim(x) else x, found)
     return dataclasses.replace(found, body=body, interface=interface)  # not rounded
 
@@ -102,8 +102,7 @@ def precursor_length(
 ) -> Float[Array, ""]:
     """ℓ of one body by its contacts: see `slippulse_jax.precursor_length`."""
     tall = rule is None and not isinstance(interface, Profile) and _is_tall(body, sites)
-    of_tall = lambda body, interface, _: tall_length(body, interface, kind)[0]  # noqa: E731
-    one = of_tall if tall else partial(resolved, sites=sites, event=partial(first.length, kind=kind))
+    one = partial(_of_tall, kind=kind) if tall else partial(resolved, sites=sites, event=partial(first.length, kind=kind))
     found = under_grad_too(one)(body, interface, rule)
     _warn_of_few_sites(body, sites, found)
     if not isinstance(found, Tracer) and np.isnan(found):
@@ -115,6 +114,10 @@ def precursor_length(
             raise _without_length(body, interface, record.status)
         warnings.warn(f"{body}: {Outcome.LIFT_OFF.message}", RuntimeWarning, stacklevel=4)
     return found
+
+
+def _of_tall(body: Any, interface: AnyInterface, _: None, kind: EventKind) -> Float[Array, ""]:
+    return tall_length(body, interface, kind)[0]
 
 
 def _is_tall(body: Any, sites: int | None) -> bool:

@@ -35,9 +35,6 @@ from slippulse_jax.bulk.derivatives import without_derivative
 from slippulse_jax.events.rupture import nucleate
 from slippulse_jax.rules import CrackLike, SelfHealing
 
-AT_REST = 1e-12
-"""Kinetic energy, in K u_s², below which a damped chain without overloaded contacts counts as at rest."""
-
 
 class Motion(NamedTuple):
     """Final state and energies of a simulation.
@@ -116,6 +113,7 @@ def simulate_inertial(
     velocity: AnyArrayLike = 0.0,
     trigger: int | Int[Array, ""] | None = None,
     safety: AnyArrayLike = 0.2,
+    rest: AnyArrayLike = 1e-12,
 ) -> Motion:
     """Simulate the motion of a chain from rest.
 
@@ -136,6 +134,8 @@ def simulate_inertial(
         Contact that breaks at time 0; −1 for none. By default the one that nucleates, or none if `state` is given.
     safety : float
         Ratio of the step to the largest stable one, between 0 and 1.
+    rest : float
+        Kinetic energy, in K u_s², below which a damped chain without overloaded contacts counts as at rest.
 
     Returns
     -------
@@ -168,6 +168,7 @@ def simulate_inertial(
         given("damping", damping, lambda x: x >= 0, "must be 0 or more, per √(m/K)"),
         given("velocity", velocity, jnp.isfinite, "must be finite, in u_s per √(m/K)"),
         given("safety", safety, lambda x: (x > 0) & (x < 1), "must lie between 0 and 1"),
+        given("rest", rest, lambda x: x >= 0, "must be 0 or more, in K u_s²"),
     )
     sites = chain.sites
     first = -1 if trigger is None else trigger
@@ -187,7 +188,7 @@ def simulate_inertial(
 def _simulate(
     chain: Chain, state: State, rule: SelfHealing | CrackLike, numbers: tuple[Array, ...], trigger: Int[Array, ""]
 ) -> Motion:
-    duration, damping, velocity, safety = numbers
+    duration, damping, velocity, safety, rest = numbers
     start = equilibrium(chain, state)
     dt = stable_step(chain, safety)
     number = jnp.ceil(duration / dt)
@@ -256,7 +257,7 @@ def _simulate(
         return now._replace(imbalance=jnp.maximum(now.imbalance, error))
 
     def going(now: MotionState) -> Array:
-        at_rest = (kinetic(now.v) < AT_REST) & (overloaded(now).max() < 0) & ~now.sliding.any()
+        at_rest = (kinetic(now.v) < rest) & (overloaded(now).max() < 0) & ~now.sliding.any()
         return (now.n < steps) & ~(at_rest & (damping > 0) & (now.since > 10 * dt))
 
     zero = jnp.zeros_like(dt)

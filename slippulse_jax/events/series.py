@@ -95,7 +95,7 @@ POSITIVE = Domain(0, float("inf"), "must be positive and finite")
 
 
 def series(
-    body: Chain | Block,
+    body: Any,
     protocol: Protocol = Adiabatic(),  # noqa: B008 - a constant
     *,
     events: int,
@@ -108,20 +108,20 @@ def series(
     max_breaks: int | None = None,
     recorded_breaks: int = 0,
 ) -> Catalogue:
-    """Load a relaxed chain or block through `events` events.
+    """Load a relaxed body through `events` events.
 
     Parameters
     ----------
-    body : Chain or Block
-        A chain with linear contacts, whose thresholds and prestress may have any profile. Or a block whose pusher is displaced;
-        "the left edge" of what follows is then its pusher. Or a body of one's own (docs/howto/extend.md), with `sites`.
+    body : Chain, Slider or Block
+        A chain with linear contacts, whose thresholds and prestress may have any profile. Or a slider, or a block whose pusher
+        is displaced; "the left edge" of what follows is then its pusher. Or a body of one's own (docs/howto/extend.md).
     protocol : Adiabatic, Steps or Spring
     events : int
         Number of events, and of rows in the catalogue.
     interface : Interface or Profile, optional
-        Thresholds and prestress of the contacts of a block; a chain has its own.
+        Thresholds and prestress of the contacts; a chain has its own.
     sites : int, optional
-        Number of contacts resolved of a block without end, which must be given; from 2 to 8192.
+        Number of contacts resolved of a body without end, which must be given; from 2 to 8192, of sliders to 4096.
     ageing : Ageing, optional
         Contacts that never broke have the thresholds of the chain; those that did are reborn weak. By default they recover
         immediately.
@@ -158,11 +158,9 @@ def series(
             given = f"sites = {sites}" if interface is None else f"interface = {interface!r}"
             raise ValueError(f"{given}: that is for a block; a chain has its own contacts")
         sites = body.sites
-    elif isinstance(body, Block):
-        sites = _sites_of_block(body, sites, protocol)
     else:
-        check_whole("sites", sites, 2)
-        assert sites is not None
+        _check_pusher(body, protocol)
+        sites = checked_sites(body, sites)
     check_whole("events", events, 1)
     check_whole("recorded_breaks", recorded_breaks, 0)
     check_whole("repin_delay", repin_delay, 0)
@@ -184,16 +182,12 @@ def series(
     return found._replace(state=State(found.state.pinning[..., :sites], found.state.load))
 
 
-def _sites_of_block(block: Block, sites: int | None, protocol: Protocol) -> int:
-    """Number of contacts resolved of a block."""
-    if block.push.control != "displacement":
+def _check_pusher(body: Any, protocol: Protocol) -> None:
+    """Refuse a pusher whose force is held, and two springs behind it."""
+    if isinstance(body, Block) and body.push.control != "displacement":
         raise ValueError("push.control = 'force': the pusher of a series is displaced; pull it through a soft Spring instead")
-    if block.machine is not None and isinstance(protocol, Spring):
+    if getattr(body, "machine", None) is not None and isinstance(protocol, Spring):
         raise ValueError("a machine and protocol = Spring(…): they are one spring, give one of them")
-    if sites is None and block.sites is None:
-        raise ValueError(f"{block} has no end: give sites, the number of contacts resolved")
-    found = checked_sites(block, block.sites if sites is None else sites)
-    return block.sites or found
 
 
 def _series(shape: Shape, body: Any, interface: AnyInterface, loading: Loading) -> Catalogue:

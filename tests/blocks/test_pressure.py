@@ -486,9 +486,7 @@ def test_rough_contacts_series():
 def test_pictures_of_a_block_with_friction(law):
     """Of rough contacts those after the event are of the stiffnesses at nucleation."""
     record = sp.first_precursor(pressed(12, 0.5, sp.Push(0.25), 0.2, contact_law=law), event="full")
-    contact, threshold, shear = blocks.stages(
-        record.body, None, record.stress.size, jnp.array([0, int(record.breaks)]), "full"
-    )
+    contact, threshold, shear = blocks.stages(record.body, None, record.stress.size, jnp.array([0, int(record.breaks)]), "full")
     np.testing.assert_allclose(contact[0], record.stress_before, atol=1e-12)
     np.testing.assert_allclose(contact[1], record.stress, atol=1e-12 if law == "amontons" else 0.02)
     np.testing.assert_allclose(threshold[0], record.pressure_before, atol=1e-12)

@@ -181,6 +181,7 @@ def test_crack_like_fronts_know_the_thresholds_self_healing_ones_do_not():
         ({"damping": -0.1}, "damping = -0.1: must be 0 or more"),
         ({"velocity": np.nan}, "velocity = nan"),
         ({"safety": 1.0}, "safety = 1: must lie between 0 and 1"),
+        ({"rest": -1.0}, "rest = -1"),
         ({"trigger": 20}, "trigger = 20: must be −1 … 19"),
         ({"rule": SelfHealing(-1.0)}, "SelfHealing.break_time = -1"),
         ({"rule": CrackLike(0.8)}, "CrackLike.friction = 0.8: must be 0 or more and below every threshold"),

@@ -143,6 +143,49 @@ def test_what_breaks_do_to_a_long_chain_is_refused_with_its_memory():
             door()
 
 
+ENDS = {
+    "slider": sp.Slider(12.0, 0.1, 0.3, length=40),
+    "chain": sp.chain(sp.Slider(12.0, 0.1, 0.3), sites=40),
+    "block": sp.Block(12.0, 0.1, 0.3, length=40),
+}
+
+
+@pytest.mark.parametrize("name", ENDS)
+def test_a_body_that_ends_is_resolved_as_a_whole(name):
+    """At every door that takes `sites`: fewer are refused, none given or more are all that there are."""
+    body = ENDS[name]
+    doors = [functools.partial(door, event="full") for door in (sp.precursor_length, sp.first_precursor)]
+    doors += [] if name == "chain" else [functools.partial(sp.series, events=2)]  # a series refuses any sites of a chain
+    for door in doors:
+        with pytest.raises(ValueError, match=f"sites = 20: a {name} of 40 contacts needs all of them"):
+            door(body, sites=20)
+        all_of_them, *others = (
+            getattr(found, "length", found) for found in (door(body), door(body, sites=40), door(body, sites=50))
+        )
+        assert np.isfinite(all_of_them).any()
+        for other in others:
+            np.testing.assert_allclose(other, all_of_them, rtol=1e-13)
+
+
+def test_one_spring_pulls_a_body():
+    for body in (sp.Slider(12.0, 0.1, 0.3, machine=2.0), sp.Block(12.0, 0.1, 0.3, machine=2.0)):
+        with pytest.raises(ValueError, match="they are one spring"):
+            sp.series(body, sp.Spring(2.0), sites=40, events=1)
+
+
+@pytest.mark.ci
+def test_a_series_of_a_slider_is_that_of_its_chain():
+    interface = sp.Interface(0.1, 1e-3)
+    found = sp.series(SLIDER, interface=interface, sites=60, events=4)
+    expected = sp.series(sp.chain(SLIDER, sites=60, interface=interface), events=4)
+    for name in ("load", "force_after", "length", "site", "breaks", "stored"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-11, err_msg=name)
+    machine = sp.series(sp.Slider(25.0, 0.03, 0.3, machine=2.0), interface=interface, sites=60, events=4)
+    spring = sp.series(SLIDER, sp.Spring(2.0), interface=interface, sites=60, events=4)
+    for name in ("load", "length", "site", "breaks"):
+        np.testing.assert_allclose(getattr(machine, name), getattr(spring, name), rtol=1e-9, err_msg=name)
+
+
 def test_what_has_no_contacts_is_no_body():
     for door in (sp.precursor_length, sp.first_precursor, functools.partial(sp.series, events=1)):
         with pytest.raises(TypeError, match="body is float: must be Slider or Block"):
