@@ -221,7 +221,7 @@ def test_length_of_a_block_that_ends_under_a_machine_that_gives_way(in_this_proc
 @pytest.mark.filterwarnings("ignore:Block:RuntimeWarning")
 def test_a_block_without_a_length_says_why(status, code, friction, monkeypatch, in_this_process):
     """Whatever its outcome; only a block that lifts off is said to lift off."""
-    monkeypatch.setattr(size, "_length", lambda *_, **__: np.nan)
+    monkeypatch.setattr(size, "resolved", lambda *_, **__: np.nan)
     monkeypatch.setattr(size, "_record", lambda *_: SimpleNamespace(status=status))
     monkeypatch.setattr(exact_front, "exact_length", lambda _: np.nan)
     done = in_this_process("length", *FIG2, "--push-height", "0.3", *friction)
