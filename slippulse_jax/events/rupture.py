@@ -170,12 +170,12 @@ def nucleate(chain: Chain, state: State | None = None) -> tuple[State, Int[Array
 
 @jax.jit
 def _nucleate(chain: Chain, state: State) -> tuple[State, Int[Array, ""]]:
-    now = equilibrium(chain, state).stress
-    push = equilibrium(chain, State(state.pinning, state.load + 1)).stress - now
+    load = jnp.asarray(state.load, chain.contact.dtype)
+    now, push = jax.jvp(lambda load: equilibrium(chain, State(state.pinning, load)).stress, (load,), (jnp.ones_like(load),))
     threshold = jnp.where(chain.contact > 0, chain.threshold, jnp.inf)
     site, rise = first_to_break(push[None], threshold, now[None])
     rise = jnp.where((now >= threshold).any(), 0, rise)
-    return State(state.pinning, state.load + rise), jnp.where((rise == 0) | jnp.isinf(rise), -1, site)
+    return State(state.pinning, load + rise), jnp.where((rise == 0) | jnp.isinf(rise), -1, site)
 
 
 def _check(chain: Chain, state: State) -> None:

@@ -330,6 +330,14 @@ def test_loading_to_nucleation_is_differentiable():
     np.testing.assert_allclose(slope(25.0), (load(25 + h) - load(25 - h)) / (2 * h), rtol=1e-7)
 
 
+def test_loading_begins_at_any_number():
+    c = chain(FIG2, sites=20)
+    expected, first = nucleate(c)
+    for load in (0, np.int64(1), jnp.int32(1), 0.5):
+        state, site = nucleate(c, State(jnp.zeros(20), load))
+        assert (float(state.load), int(site)) == (pytest.approx(float(expected.load), rel=1e-12), int(first))
+
+
 @pytest.mark.ci
 def test_how_a_rupture_ends():
     def ends(c, load, **options):
