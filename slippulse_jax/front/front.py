@@ -304,7 +304,7 @@ def run_over(
 
 
 def length_of_run(rule: BreakRule | None, stress: Float[Array, " n"], threshold: Float[Array, " n"]) -> tuple[Array, Array]:
-    """ℓ of a run, on a straight line as of profiles; whether it ended."""
+    """ℓ of a run, on a straight line, and whether it ended."""
     site, part = jnp.arange(stress.size), jax.vmap(partial(fraction_broken, rule))(stress, threshold)
     ends = (part <= rounding(part)) & (site > 0)
     s0 = jnp.where(ends.any(), jnp.argmax(ends), stress.size - 1)

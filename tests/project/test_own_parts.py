@@ -150,7 +150,7 @@ ENDS = {
 }
 
 
-@pytest.mark.parametrize("name", ENDS)
+@pytest.mark.parametrize("name", [pytest.param(x, marks=[pytest.mark.ci] * (x != "chain")) for x in ENDS])
 def test_a_body_that_ends_is_resolved_as_a_whole(name):
     """At every door that takes `sites`: fewer are refused, none given or more are all that there are."""
     body = ENDS[name]
