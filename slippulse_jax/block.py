@@ -132,11 +132,11 @@ class Push(eqx.Module):
 def checked_sites(body: Any, sites: Any) -> int:
     """Number of contacts to resolve: all of a body that ends."""
     own = getattr(body, "sites", None)
-    own = None if own is None or isinstance(own, Tracer) else int(own)
-    if sites is None and own is None and hasattr(body, "sites"):
-        raise ValueError(f"{body} has no end: give sites, the number of contacts resolved")
-    domains.check_whole("sites", own if sites is None else sites, 2)
-    found = int(sites if own is None else own)
+    count = sites if own is None or isinstance(own, Tracer) else int(own)
+    if count is None:
+        raise ValueError(f"sites = None: {body} states no end, so give the number of contacts to resolve")
+    domains.check_whole("sites", count if sites is None else sites, 2)
+    found = int(count)
     if found > MOST_CONTACTS:
         raise ValueError(f"sites = {found}: at most {MOST_CONTACTS} contacts of a body are resolved")
     if sites is not None and sites < found:

@@ -176,8 +176,7 @@ def first_precursor(
     Raises
     ------
     FrontNotArrested
-        If the front was given up and `sites` is missing, so that the length of the record is unknown. With it, the
-        record has the status LIMIT. Under ``jit`` and ``vmap`` nothing is raised.
+        If the front was given up. Under ``jit`` and ``vmap`` nothing is raised: the record has the status LIMIT.
     ValueError
         If `body` is a batch, or if `sites` is needed and missing or does not reach the arrest; if a block, or the whole event
         of a slider, is traced in single precision.
@@ -194,14 +193,14 @@ def first_precursor(
     warn_single_precision(slider)
     ended = _counted(*lax.stop_gradient((slider, interface)))
     traced = isinstance(ended.contacts_broken, Tracer)
+    if not traced:
+        report_without_length(np.asarray(ended.status), raises=True)
     if sites is None:
         if traced and (slider.length is None or isinstance(slider.length, Tracer)):
             raise ValueError(
                 "first_precursor under jit or vmap needs sites, because the length is not known beforehand: "
                 "jax.vmap(lambda slider: first_precursor(slider, sites=200))(sliders)"
             )
-        if slider.length is None:
-            report_without_length(np.asarray(ended.status), raises=True)
         if slider.length is not None and np.isfinite(slider.length):
             sites = math.ceil(np.asarray(slider.length) - 0.5)
         else:  # a power of two, so that fronts of about the same length share a program

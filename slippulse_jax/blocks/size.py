@@ -116,7 +116,7 @@ def precursor_length(
     return found
 
 
-def _of_tall(body: Any, interface: AnyInterface, _: None, kind: EventKind) -> Float[Array, ""]:
+def _of_tall(body: Any, interface: Interface | None, _: None, kind: EventKind) -> Float[Array, ""]:
     return tall_length(body, interface, kind)[0]
 
 

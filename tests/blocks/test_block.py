@@ -871,7 +871,7 @@ def test_a_series_on_an_interface_and_of_a_batch():
 @pytest.mark.parametrize(
     ("body", "given", "message"),
     [
-        (sp.Block(5.0, 0.1, 0.3), {}, "has no end: give sites"),
+        (sp.Block(5.0, 0.1, 0.3), {}, "states no end, so give the number"),
         (sp.Block(5.0, 0.1, 0.3, length=20), {"sites": 10}, "sites = 10: a block of 20 contacts needs all of them"),
         (sp.Block(5.0, 0.1, 0.3, length=9000), {}, "sites = 9000: at most 8192"),
         (sp.Block(5.0, 0.1, 0.3), {"sites": 1e4}, "sites = 10000.0: must be a whole number"),

@@ -135,7 +135,9 @@ def test_every_door_gives_a_front_up():
         first_precursor(tall)
     with pytest.raises(FrontNotArrested, match="given up.*: 10000000"):
         precursor_length(tall, rule=SmoothBreak(0.01))
-    assert int(first_precursor(tall, sites=100).status) == Outcome.LIMIT
+    with pytest.raises(FrontNotArrested, match="given up.*: 10000000"):
+        first_precursor(tall, sites=100)
+    assert int(jax.jit(lambda h: first_precursor(Slider(h, 1e-6, 0.3), sites=100).status)(1e8)) == Outcome.LIMIT
     assert np.isnan(jax.jit(lambda h: precursor_length(Slider(h, 1e-6, 0.3)))(1e8))
     with pytest.warns(RuntimeWarning, match=r"1 of 2 fronts, the first at index \(1,\).*given up.*: 10000000"):
         lengths = precursor_lengths(Slider([10.0, 1e8], [0.03, 1e-6], 0.3))
