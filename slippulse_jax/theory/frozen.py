@@ -224,8 +224,8 @@ def _appendix(slider: Slider) -> Appendix:
     def excess(p: tuple[Array, Array, Array, Array], s: Array) -> Array:
         """Logarithm of cra56, with y = e^{κ_3 s}."""
         A0, alpha, C, k3 = p
-        small = jnp.exp(-k3 * s)
-        return jnp.log(A0) + alpha * jnp.log((1 + C) / (1 + C * small)) + (1 - alpha) * k3 * s
+        x = k3 * s
+        return jnp.log(A0) + alpha * jnp.log1p(-C * jnp.expm1(-x) / (1 + C * jnp.exp(-x))) + (1 - alpha) * x
 
     found = root_between(excess, (A0, alpha, C, k3), zero, 4 * leading_length(slider) + 2)
     B = A0 * (1 + C) ** alpha

@@ -213,7 +213,7 @@ QUICK = ("index.md",)
 """Pages of which README's command runs the programs; CI runs those of the others too."""
 LONG = {
     "fit/block.md", "fit/design.md", "fit/gauges.md", "fit/inputs.md", "fit/jax.md", "fit/own_csv.md", "fit/sequence.md",
-    "howto/extend.md", "howto/pictures.md", "learn/gallery.md", "model/block.md", "model/gradients.md", "model/series.md",
+    "howto/pictures.md", "learn/gallery.md", "model/block.md", "model/gradients.md", "model/series.md",
     "appendix/block_theory.md", "appendix/experiments.md",
 }  # fmt: skip
 """Pages whose programs take longest and call what other tests hold: they run every night."""
