@@ -177,7 +177,7 @@ def series(
     with jax.debug_infs(False):  # nothing ends a series without `until`, and the extent of an event that spans is inf
         until = jnp.asarray(jnp.inf if until is None else as_float("until", until))
         most = jnp.asarray(BREAKS_PER_SITE * sites if max_breaks is None else max_breaks, jnp.int32)
-        loading = Loading(protocol, ageing, until, jnp.asarray(stop_when_spanning), most, jnp.asarray(sites - 1, jnp.int32))
+        loading = Loading(protocol, ageing, until, jnp.asarray(stop_when_spanning), most, jnp.asarray(sites - 1))
         found = run_series(shape, body, interface, loading)
     return found._replace(state=State(found.state.pinning[..., :sites], found.state.load))
 

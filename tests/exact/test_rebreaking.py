@@ -74,13 +74,7 @@ def test_recursion_and_closed_form_have_one_onset(height):
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize(
-    ("height", "sites"),
-    [
-        (100.0, 150),
-        *(pytest.param(*x, marks=pytest.mark.slow) for x in ((1000.0, 1200), (10_000.0, 11_500), (100_000.0, 110_000))),
-    ],
-)
+@pytest.mark.parametrize(("height", "sites"), [(100.0, 150), pytest.param(1000.0, 1200, marks=pytest.mark.slow)])
 def test_the_cascade_has_the_same_onset(height, sites):
     """Contact 0 is the first to break again, and the event then goes at least as far as its front."""
     onset = float(sp.rebreaking_onset(height, 0.3))
