@@ -16,8 +16,8 @@ import numpy as np
 
 import slippulse_jax as sp
 from benchmarks.fit_coverage import Share, holds
-from slippulse_jax.inference.model.fronts import FirstFront
 from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.model.slider import FirstFront
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.inference.search.intervals import LEVELS
 

@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from slippulse_jax import Measurements, Parameter, fit
-from slippulse_jax.inference.model.fronts import FirstFront
 from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.model.slider import FirstFront
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.inference.search.intervals import LEVELS, Interval, calibrated
 

@@ -23,9 +23,9 @@ from scipy.optimize import curve_fit
 
 from benchmarks.fit_coverage import SIGMA, model, stiffness_at
 from slippulse_jax import Measurements, fit
-from slippulse_jax.inference.model.fronts import FirstFront
 from slippulse_jax.inference.model.inputs import Inputs
-from slippulse_jax.inference.model.parameters import parameter_set
+from slippulse_jax.inference.model.slider import FirstFront
+from slippulse_jax.inference.parameters import parameter_set
 from slippulse_jax.inference.search.intervals import LEVELS
 from slippulse_jax.inference.search.likelihood import make_problem
 from slippulse_jax.inference.search.minimise import minimise
@@ -139,7 +139,7 @@ def by_search(study: Study) -> Answer:
     """Of this package, Levenberg and Marquardt's search from the one start; no error bar."""
     m = measurements(study)
     q = parameter_set(m, ["stiffness"])
-    end = minimise(make_problem(m, q, "normal", m.sigma), study.starts[:1, None], q.low, q.high)
+    end = minimise(make_problem(m, q), study.starts[:1, None], q.low, q.high)
     return float(end.theta[0, 0]), []
 
 

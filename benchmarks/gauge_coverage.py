@@ -19,9 +19,10 @@ from scipy.special import chdtrc, chdtri
 
 import slippulse_jax as sp
 from benchmarks.fit_coverage import Share
-from slippulse_jax.inference.model.parameters import parameter_set
+from slippulse_jax.inference.model.front import IMPROBABLE
+from slippulse_jax.inference.parameters import parameter_set
 from slippulse_jax.inference.search.intervals import LEVELS
-from slippulse_jax.inference.search.likelihood import IMPROBABLE, make_problem
+from slippulse_jax.inference.search.likelihood import make_problem
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
@@ -92,12 +93,13 @@ def measured(heights: np.ndarray, ratio: float, rng: np.random.Generator) -> Stu
 def rises(one: Study) -> np.ndarray:
     """Rise of the deviance at the truth: of both parameters, of the stiffness, of the strength; and its least value."""
     m = one.measurements
-    problem = make_problem(m, parameter_set(m, ["stiffness", "strength"]), "normal", m.sigma)
+    problem = make_problem(m, parameter_set(m, ["stiffness", "strength"]))
     log_stiffness = np.log(one.stiffness) + np.concatenate([[0], np.linspace(-SCANNED, SCANNED, 401)])
     theta = np.column_stack([log_stiffness, np.full(len(log_stiffness), np.log(STRENGTH))])
     assert m.gauges is not None
     pairs = [("slip", m.gauges.slip, SIGMA[0]), ("stress", m.gauges.stress, SIGMA[1])]
-    predicted = np.concatenate([problem.predict(theta, name) / sigma for name, _, sigma in pairs], axis=1)
+    of = {data.observable.name: data for data in problem.observed}
+    predicted = np.concatenate([problem.predicted(theta, of[name]) / sigma for name, _, sigma in pairs], axis=1)
     read = np.concatenate([np.asarray(values) / sigma for _, values, sigma in pairs])
     at_strength = 2 * problem(theta).value
     counts = at_strength - ((read - predicted) ** 2).sum(axis=1)

@@ -21,9 +21,9 @@ import numpy as np
 
 from benchmarks.fit_coverage import SIGMA, stiffness_at
 from slippulse_jax import Measurements, Parameter, fit
-from slippulse_jax.inference.model import fronts
 from slippulse_jax.inference.model.inputs import Inputs
-from slippulse_jax.inference.model.parameters import parameter_set
+from slippulse_jax.inference.model.slider import FirstFront
+from slippulse_jax.inference.parameters import parameter_set
 from slippulse_jax.inference.search.likelihood import make_problem
 from slippulse_jax.inference.search.minima import search
 from slippulse_jax.inference.search.minimise import Convergence, Method, minimise
@@ -62,7 +62,7 @@ def draw(rng: np.random.Generator, kind: Kind) -> Measurements:
     """Heights of 15–60 λc, at a stiffness where the longest of them is this share of its longest."""
     height = np.sort(rng.uniform(15, 60, kind.heights))
     truth = stiffness_at(float(np.median(height)), rng.uniform(*kind.share))
-    length = fronts.FirstFront().lengths(Inputs.of(height, truth, 0.3, kind.prestress))
+    length = FirstFront().lengths(Inputs.of(height, truth, 0.3, kind.prestress))
     sigma = SIGMA * length
     measured = length + sigma * rng.standard_normal(len(height))
     if kind.whole:
@@ -87,7 +87,7 @@ class Run(NamedTuple):
 def runs(m: Measurements, kind: Kind, method: Method, seed: int) -> list[Run]:
     """By starts, by search, by fit."""
     parameters = parameter_set(m, [Parameter(one) if isinstance(one, str) else one for one in kind.free])
-    problem = make_problem(m, parameters, "normal", m.sigma)
+    problem = make_problem(m, parameters)
     points = np.random.default_rng(seed).uniform(parameters.low, parameters.high, (STARTS, problem.p))
 
     def by_starts() -> tuple[np.ndarray, np.ndarray]:

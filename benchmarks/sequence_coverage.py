@@ -28,6 +28,7 @@ from benchmarks.fit_coverage import Share, holds
 from slippulse_jax.inference.fit import FitResult
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.inference.search.intervals import LEVELS
+from slippulse_jax.inference.search.learning import model_error_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "fit_examples"))
 
@@ -101,7 +102,7 @@ class Tally:
         """Compare a fit with the truth."""
         self.count += 1
         self.refused += found.identifiability is Identifiability.POOR_FIT
-        self.large += getattr(found.parameters.front, "model_error", 0.0) >= 0.02
+        self.large += model_error_of(found.problem) >= 0.02
         if found.identifiability is Identifiability.POOR_FIT:
             return
         for name, true in truth.items():

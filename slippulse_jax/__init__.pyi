@@ -23,8 +23,8 @@ from slippulse_jax.inference.design import design as design
 from slippulse_jax.inference.fit import fit as fit
 from slippulse_jax.inference.knowledge import Knowledge as Knowledge
 from slippulse_jax.inference.mechanism import pulse_or_crack as pulse_or_crack
-from slippulse_jax.inference.model.parameters import Parameter as Parameter
 from slippulse_jax.inference.objective import objective as objective
+from slippulse_jax.inference.parameters import Parameter as Parameter
 from slippulse_jax.inference.recover import recover_profile as recover_profile
 from slippulse_jax.inference.result.result import load_fit as load_fit
 from slippulse_jax.inference.table.measurements import Gauges as Gauges

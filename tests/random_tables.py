@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import slippulse_jax as sp
-from slippulse_jax.inference.model.parameters import parameter_set
+from slippulse_jax.inference.parameters import parameter_set
 from slippulse_jax.inference.search.likelihood import make_problem
 
 KINDS = (
@@ -84,9 +84,7 @@ def _drawn(rng: np.random.Generator, kind: str) -> Table | None:
     ones = np.ones(n)
     wanted = parameter_set(sp.Measurements(length=ones, length_sigma=ones, kind=of, **given), free)
     theta = _true(rng, wanted, given, kind)
-    exact = make_problem(sp.Measurements(length=ones, length_sigma=ones, kind=of, **given), wanted, "normal", ones).predict(
-        theta
-    )[0]
+    exact = make_problem(sp.Measurements(length=ones, length_sigma=ones, kind=of, **given), wanted).predict(theta)[0]
     if not (np.isfinite(exact) & (exact > 0.5)).all():
         return None
     read, sigma = _measured(rng, exact, np.array(of))

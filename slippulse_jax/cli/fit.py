@@ -257,7 +257,8 @@ def _check(options: dict[str, Any]) -> None:
 
 def _with_options(request: dict[str, Any], options: dict[str, Any], m: "Measurements") -> dict[str, Any]:
     """Add the options to the request."""
-    from slippulse_jax.inference.model.parameters import default_free
+    from slippulse_jax.inference.model.models import model_of
+    from slippulse_jax.inference.parameters import default_free
     from slippulse_jax.inference.result.record import SETTINGS
 
     parameters = {name: dict(settings) for name, settings in request.get("parameters", {}).items()}
@@ -274,6 +275,7 @@ def _with_options(request: dict[str, Any], options: dict[str, Any], m: "Measurem
     for name in options["each_specimen"]:
         parameters.setdefault(name, {})["each"] = "specimen"
     if parameters and not named:
-        parameters = dict.fromkeys(default_free(m, options["fix"]), {}) | parameters
+        front = model_of(m, options.get("event"), options.get("body"))
+        parameters = dict.fromkeys(default_free(m, options["fix"], front), {}) | parameters
     settings = {name: options[name] for name in SETTINGS if options.get(name) is not None}
     return {**request, **settings, "parameters": parameters or None}

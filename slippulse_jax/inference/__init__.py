@@ -4,7 +4,9 @@ In the order in which a fit reads them, from a table to the printed report; the 
 
 `choices`           words for what a fit may be asked for
 `table/`            a file, or arrays, and the measurements that it holds
-`model/`            what a model predicts of them, from parameters
+`model/`            models of precursors, and an emulator of expensive ones
+`observables/`      kinds of data: readings, predictions and words
+`parameters`        what is fitted, its check, and the linear map to the inputs of a model
 `search/`           how probable the data are; minima; intervals
 `result/`           verdicts, what would move the fit, record and report
 `fit`               the door: a table in, a result out

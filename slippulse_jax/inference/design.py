@@ -12,8 +12,8 @@ from slippulse_jax.base.shown import html
 from slippulse_jax.base.status import NotConverged
 from slippulse_jax.block import ContactLaw, Control, Top
 from slippulse_jax.inference.knowledge import Gain, Knowledge, LengthKind, expected_gain, greedy, moments
-from slippulse_jax.inference.model.fronts import front_for
-from slippulse_jax.inference.model.parameters import ParameterSet, parameter_set
+from slippulse_jax.inference.model.models import front_for
+from slippulse_jax.inference.parameters import ParameterSet, parameter_set
 from slippulse_jax.inference.table.columns import TEXTS
 from slippulse_jax.inference.table.measurements import Measurements, numbers
 

@@ -6,7 +6,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from tqdm.auto import tqdm
@@ -14,18 +14,19 @@ from tqdm.auto import tqdm
 from slippulse_jax.base.domains import check_choice, check_whole
 from slippulse_jax.base.status import NotConverged
 from slippulse_jax.inference.choices import Body, IntervalsBy, Loss, MeasuredEvent, Method, Sigma
-from slippulse_jax.inference.model.check import checked, suspicions
-from slippulse_jax.inference.model.fronts import BlockSequence, Front
-from slippulse_jax.inference.model.parameters import (
+from slippulse_jax.inference.model.front import Front
+from slippulse_jax.inference.model.models import front_of
+from slippulse_jax.inference.parameters import (
     STIFFNESSES,
     Parameter,
+    checked,
+    suspicions,
     wanted_parameters,
     with_errors_of_measuring,
 )
 from slippulse_jax.inference.result import record
 from slippulse_jax.inference.result.result import FitResult
 from slippulse_jax.inference.result.verdict import judge
-from slippulse_jax.inference.search.clouds import gathered, refuse_model_error, within_reach
 from slippulse_jax.inference.search.intervals import (
     LEVELS,
     Interval,
@@ -37,6 +38,17 @@ from slippulse_jax.inference.search.intervals import (
     profile,
     rise_of,
     to_be_simulated,
+)
+from slippulse_jax.inference.search.learning import (
+    OUTWARDS,
+    check_model_error,
+    learnt,
+    narrowed,
+    outwards,
+    pruned,
+    sized,
+    with_model_error,
+    within_reach,
 )
 from slippulse_jax.inference.search.likelihood import Problem, make_problem
 from slippulse_jax.inference.search.minima import (
@@ -92,7 +104,7 @@ def fit(
     measurements : Measurements, pandas.DataFrame or path
         From `read_measurements`, or built from arrays; or a table with the columns of `read_measurements`, or its CSV file.
     free : str, Parameter, or sequence of them, optional
-        Parameters to fit, by the names of `slippulse_jax.inference.model.parameters.PARAMETERS`. By default the stiffness, and
+        Parameters to fit, by the names of `slippulse_jax.inference.parameters.PARAMETERS`. By default the stiffness, and
         of a sequence friction and normal load where the table does not state them. "stiffness" is k/K where
         lengths are in λc, the areal stiffness k/λc² where they are in SI. A `Parameter` adds bounds, a prior, one value per
         specimen. Inputs that come with an error of their own are fitted beside them, with that error as prior; beside lengths
@@ -149,8 +161,9 @@ def fit(
     """
     arguments = locals().copy()
     measurements = measurements_of(measurements)
-    wanted = wanted_parameters(measurements, free, bounds, fixed)
-    suspected = suspicions(measurements, wanted)
+    front = front_of(measurements, event, body)
+    wanted = wanted_parameters(measurements, free, bounds, fixed, front)
+    suspected = suspicions(measurements, wanted, front)
     for mistake in suspected:
         warnings.warn(mistake, MeasurementWarning, stacklevel=2)
     choices = {"loss": (loss, Loss), "method": (method, Method), "sigma": (sigma, Sigma), "intervals": (intervals, IntervalsBy)}
@@ -158,40 +171,33 @@ def fit(
         check_choice(name, value, known)
     check_whole("max_steps", max_steps, 1)
     check_whole("seed", seed, 0)
-    scaled = (sigma == "relative" or measurements.length_sigma is None) and not measurements.is_sequence
-    every = with_errors_of_measuring(measurements, wanted, size_known=not scaled)
-    problem = make_problem(measurements, checked(measurements, every, event, body), loss, measurements.stated_sigma)
+    scaled = is_scaled(measurements, front, sigma)
+    every = with_errors_of_measuring(measurements, wanted, front, size_known=not scaled)
+    problem = make_problem(measurements, checked(measurements, every, front, loss=loss))
     _check_scaled(problem, scaled)
     _check_calibrated(problem, intervals, scaled)
-    counts = allowed_by_counts(problem) if problem.only_counts and not problem.parameters.front.interpolated else None
-    ranges, at_odds = counts or ([], None)
-    whole, problem = problem.parameters, _gathered(problem, seed, model_error, sigma)
-    between = None if scaled or counts else between_contacts(problem, seed)
-    if between is not None:
-        problem = problem.widened(between)
-    if ranges:
-        found = _of_counts(problem, ranges)
+    check_model_error(problem, model_error)
+    options: dict[str, Any] = {"method": method, "max_steps": max_steps, "seed": seed}
+    whole = problem.parameters
+    if problem.only_counts and not front.interpolated:
+        explored = _by_counts(problem, **options)
+    elif scaled:
+        explored = _by_scatter(problem, **options)
+    elif problem.emulates:
+        explored = _by_learning(problem, model_error, **options)
     else:
-        with _progress(problem) as shown:
-            if scaled:
-                problem, found = _explore_scaled(shown, method, max_steps, seed)
-            else:
-                found = _explore(shown, method, max_steps, seed)
-    if isinstance(front := problem.parameters.front, BlockSequence) and front.error_is_fitted:
-        found = found._replace(scatter_dof=max(problem.count - problem.p, 1))
+        explored = _by_search(problem, **options)
+    problem, found, between = explored.problem, explored.found, explored.between
     limits = {level: found.deviance + rise_of(level, dof=found.scatter_dof) for level in LEVELS}
-    found = found._replace(curves=_within_reach(problem, found.curves))
-    profiled = {j: allowed(problem, j, curve, limits) for j, curve in found.curves.items()}
-    if counts is not None:
-        profiled = {0: dict.fromkeys(LEVELS, ranges)}
+    profiled = explored.profiled or {j: allowed(problem, j, curve, limits) for j, curve in found.curves.items()}
     simulated: dict[int, tuple[Intervals, tuple[float, float]]] = {}
-    if counts is None and not scaled and to_be_simulated(problem, intervals, found, profiled):
+    if explored.profiled is None and not scaled and to_be_simulated(problem, intervals, found, profiled):
         with _progress(problem) as shown:
             simulated = {j: calibrated(shown, j, curve, seed) for j, curve in found.curves.items()}
-    problem = dataclasses.replace(problem, parameters=whole)  # not only where series of sequences were followed
+    problem = dataclasses.replace(problem, parameters=whole)  # and not only where a model was followed
     longest, longest_at = problem.parameters.attainable(found.theta)
     # counts at odds are named; the search of such a misfit need not converge
-    unconverged = [] if counts else [start for start in found.unconverged if start[0] <= limits[LEVELS[-1]]]
+    unconverged = [] if explored.profiled else [start for start in found.unconverged if start[0] <= limits[LEVELS[-1]]]
     found = found._replace(
         unconverged=unconverged,
         roots=tuple(root for root in found.minima if root.deviance <= limits[LEVELS[-1]]),
@@ -201,7 +207,7 @@ def fit(
     )
     names = {j: problem.parameters.names[j] for j in profiled}
     judged = {
-        names[j]: judge(problem, found, j, pieces, simulated[j][0] if simulated else pieces, at_odds)
+        names[j]: judge(problem, found, j, pieces, simulated[j][0] if simulated else pieces, explored.at_odds)
         for j, pieces in profiled.items()
     }
     return FitResult(
@@ -227,21 +233,63 @@ def fit(
     )
 
 
-def _gathered(problem: Problem, seed: int, model_error: float | str | None, sigma: Sigma) -> Problem:
-    """Follow the series that a fit of sequences needs."""
-    if problem.measurements.is_sequence:
-        if sigma == "relative":
-            raise ValueError(
-                "sigma = 'relative': a sequence has errors of the model too: model_error = \"fitted\" takes their size"
-            )
-        return gathered(problem, seed, model_error)
-    refuse_model_error(model_error)
-    return problem
+def is_scaled(m: Measurements, front: Front, sigma: Sigma) -> bool:
+    """Test whether the scatter gives the size of errors.
+
+    It does if asked for, or where lengths have none.
+    """
+    lengths = "length" in front.observes
+    if sigma == "relative" and not lengths:
+        raise ValueError(
+            "sigma = 'relative': a sequence has errors of the model too: model_error = \"fitted\" takes their size"
+        )
+    return lengths and (sigma == "relative" or m.length_sigma is None)
 
 
-def _within_reach(problem: Problem, curves: dict[int, Curve]) -> dict[int, Curve]:
-    """Profiles where they are known."""
-    return {j: within_reach(curve) for j, curve in curves.items()} if problem.measurements.is_sequence else curves
+class Explored(NamedTuple):
+    """A problem with the errors that were used, and what was found."""
+
+    problem: Problem
+    found: Found
+    between: np.ndarray | None = None  # error of each length by interpolation, in λc
+    profiled: dict[int, dict[float, list[Interval]]] | None = None  # intervals, where counts give them
+    at_odds: list[int] | None = None  # counts at odds with the others
+
+
+def _by_counts(problem: Problem, **options: Any) -> Explored:
+    """Take the ranges in which all counts hold."""
+    ranges, at_odds = allowed_by_counts(problem)
+    if ranges:
+        found = _of_counts(problem, ranges)
+    else:
+        with _progress(problem) as shown:
+            found = _explore(shown, **options)
+    return Explored(problem, found, None, {0: dict.fromkeys(LEVELS, ranges)}, at_odds)
+
+
+def _by_search(problem: Problem, **options: Any) -> Explored:
+    """Search with the stated σ, and errors of interpolated lengths."""
+    between = between_contacts(problem, options["seed"])
+    problem = problem if between is None else problem.widened(between)
+    with _progress(problem) as shown:
+        return Explored(problem, _explore(shown, **options), between)
+
+
+def _by_learning(problem: Problem, model_error: float | str | None, **options: Any) -> Explored:
+    """Follow the model where data may be met, until profiles rise."""
+    problem = with_model_error(problem, model_error) if isinstance(model_error, float | int) else problem
+    problem, turn = learnt(problem, options["seed"]), 0
+    while True:
+        near = narrowed(sized(problem) if model_error == "fitted" else problem)
+        with _progress(near) as shown:
+            found = _explore(shown, turns=1, **options)  # an emulator has no minima between its points
+        found = found if near.known else found._replace(scatter_dof=max(problem.count - problem.p, 1))
+        limit = found.deviance + rise_of(LEVELS[-1], dof=found.scatter_dof)
+        more = outwards(problem, found.curves, limit, options["seed"] + turn) if turn < OUTWARDS else None
+        if more is None:
+            known = {j: within_reach(curve) for j, curve in found.curves.items()}
+            return Explored(pruned(near), found._replace(curves=known))
+        problem, turn = more, turn + 1
 
 
 @contextmanager
@@ -300,22 +348,22 @@ def _of_counts(problem: Problem, ranges: list[Interval]) -> Found:
     return Found(minima, middle[0], float(value.min()), [], None, {0: curve})
 
 
-def _explore_scaled(problem: Problem, method: Method, max_steps: int, seed: int) -> tuple[Problem, Found]:
+def _by_scatter(problem: Problem, **options: Any) -> Explored:
     """Search with σ scaled to the scatter about the best fit known."""
-    theta, rounds, of_lengths = first_look(problem, seed), 0, problem.measurements.length_sigma is None
+    theta, rounds, of_lengths = first_look(problem, options["seed"]), 0, problem.measurements.length_sigma is None
     while True:
         scaled, near = scaled_to_scatter(problem, theta, of_lengths=of_lengths)
-        found = _explore(scaled, method, max_steps, seed)
+        with _progress(scaled) as shown:
+            found = _explore(shown, **options)
         rounds += 1
         if found.deviance >= near.deviance - 1e-3 or rounds == SEARCH_ROUNDS:
             sizes = {name: getattr(near, name) for name in ("scatter", "scatter_dof", "closest")}
-            return dataclasses.replace(scaled, tick=None), found._replace(**sizes)
+            return Explored(scaled, found._replace(**sizes))
         theta = found.theta
 
 
-def _explore(problem: Problem, method: Method, max_steps: int, seed: int) -> Found:
+def _explore(problem: Problem, turns: int = SEARCH_ROUNDS, **options: Any) -> Found:
     """Search and follow profiles in turns, until neither finds more."""
-    options: dict[str, Any] = {"method": method, "max_steps": max_steps, "seed": seed}
     asked = [j for j, one in enumerate(problem.parameters.free) if not one.nuisance]
     found = search(problem, **options)
     if not np.isfinite(found.deviance) or not problem.predict(found.theta).any():
@@ -328,7 +376,7 @@ def _explore(problem: Problem, method: Method, max_steps: int, seed: int) -> Fou
     if roots and all(root.rebreaks for root in roots):
         roots = _merged(problem, roots, _softer(problem, roots[0], **options))
     curves: dict[int, Curve] = {}
-    for _ in range(1 if problem.measurements.is_sequence else SEARCH_ROUNDS):  # a surface has no minima between its series
+    for _ in range(turns):
         roots = ordered(problem, roots)
         curves = {j: profile(problem, j, roots[:MOST_ROOTS], found.theta[None], found.grid) for j in asked}
         best, deviance = _lowest(roots, curves, best, deviance)

@@ -25,10 +25,10 @@ from slippulse_jax.base.choices import EventKind
 from slippulse_jax.base.domains import check_choice, check_domain
 from slippulse_jax.base.shown import format_number
 from slippulse_jax.inference.choices import Body
-from slippulse_jax.inference.model.check import check_used, checked
-from slippulse_jax.inference.model.fronts import front_of
-from slippulse_jax.inference.model.parameters import STIFFNESSES, Parameter, ParameterSet
-from slippulse_jax.inference.search.likelihood import Problem, data_log_density, make_problem
+from slippulse_jax.inference.model.models import front_of
+from slippulse_jax.inference.observables import Count, Length
+from slippulse_jax.inference.parameters import STIFFNESSES, Parameter, ParameterSet, check_used, checked
+from slippulse_jax.inference.search.likelihood import Problem, log_densities, make_problem
 from slippulse_jax.inference.table.columns import NUMERIC
 from slippulse_jax.inference.table.measurements import MeasurementError, Measurements, converted, numbers, table
 
@@ -46,6 +46,8 @@ STEP = 0.25  # spacing of the outcomes summed over, in standard errors
 SURE = 0.95  # smallest posterior of one root from which the roots count as distinguished
 REPLICATES, POINTS = 8, 512  # scrambled Sobol sequences, and points of each
 
+OUTCOMES = {"length": Length(), "whole": Count(sharpest=1e-12)}
+"""Observables by the kind of a measurement; a count is its interval itself, and not one blurred as in a fit."""
 UNUSED = (*(one for one in NUMERIC if one.endswith("_sigma") and one != "length_sigma"), "displacement", "force", "gauges")
 """Columns of measurements that are left out: inputs are taken as exact, and lengths alone are used."""
 
@@ -180,7 +182,7 @@ class Knowledge:
         body = front_of(m).body
         event = "full" if body == "block" else event or ("domino" if prior is None else prior.event)
         m = dataclasses.replace(m, **dict.fromkeys(UNUSED))
-        problem = make_problem(m, checked(m, [Parameter("stiffness", bounds=bounds)], event, body), "normal", m.sigma)
+        problem = make_problem(m, checked(m, [Parameter("stiffness", bounds=bounds)], event, body))
         theta = _grid(problem, nodes) if prior is None else prior.log_stiffness
         # the density, not the weight, has peaks: samples may be unevenly spaced
         share = np.gradient(theta) if prior is None else prior.weight
@@ -347,7 +349,7 @@ def log_likelihood(y: np.ndarray, length: np.ndarray, sigma: float, kind: Length
     """
     stops = np.isfinite(y)
     found = np.where(np.isinf(length), 0.0, -np.inf) + np.zeros((len(y), 1))
-    found[stops] = data_log_density(length, y[stops, None], sigma, kind)
+    found[stops] = log_densities(OUTCOMES[kind], length, y[stops, None], sigma)
     return found
 
 

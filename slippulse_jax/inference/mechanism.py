@@ -12,7 +12,7 @@ import numpy as np
 
 from slippulse_jax.base.status import NotConverged
 from slippulse_jax.inference.fit import FitResult, fit, wanted_parameters
-from slippulse_jax.inference.model.parameters import Parameter
+from slippulse_jax.inference.parameters import Parameter
 from slippulse_jax.inference.result.samples import refitted, simulated
 from slippulse_jax.inference.table.measurements import Measurements
 

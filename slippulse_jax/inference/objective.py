@@ -17,12 +17,12 @@ from slippulse_jax.base.domains import check_choice
 from slippulse_jax.base.units import as_float
 from slippulse_jax.bulk.compiler import check_jit
 from slippulse_jax.inference.choices import Body, Loss, MeasuredEvent
-from slippulse_jax.inference.model.check import checked
-from slippulse_jax.inference.model.fronts import Front
+from slippulse_jax.inference.model.front import Front
 from slippulse_jax.inference.model.inputs import COMMON
-from slippulse_jax.inference.model.observables import OF_GAUGES
-from slippulse_jax.inference.model.parameters import PARAMETERS, Parameter, wanted_parameters, with_errors_of_measuring
-from slippulse_jax.inference.search.clouds import gathered, refuse_model_error
+from slippulse_jax.inference.model.models import front_of
+from slippulse_jax.inference.observables.observable import Observations
+from slippulse_jax.inference.parameters import PARAMETERS, Parameter, checked, wanted_parameters, with_errors_of_measuring
+from slippulse_jax.inference.search.learning import check_model_error, learnt, sized, with_model_error
 from slippulse_jax.inference.search.likelihood import How, Problem, density, make_problem
 from slippulse_jax.inference.search.minima import lowest_look
 from slippulse_jax.inference.table.measurements import Measurements, measurements_of
@@ -36,8 +36,8 @@ class Objective:
     """−ln(likelihood × prior) as a JAX function of {name: θ}.
 
     Half the deviance of a fit of the same measurements. θ is the logarithm of a positive parameter, else the parameter itself.
-    It has first and second derivatives in every mode (of whole events and blocks, which are tables, the first), and can be
-    compiled and mapped.
+    It has first and second derivatives in every mode (of whole events and lengths on blocks, which are tables, the first), and
+    can be compiled and mapped. Of a sequence the series that it needs are followed when it is made.
     """
 
     problem: Problem
@@ -66,12 +66,18 @@ class Objective:
     @cached_property
     def _compiled(self) -> Callable[[Array], Array]:
         how, numbers = self.problem.parts
-        q, front = self.problem.parameters, how[0]
+        q = self.problem.parameters
         low, high = np.array([PARAMETERS[one.name].limits for one in q.free]).T
         box = low, high, (q.low + q.high) / 2
+        domains = [(data.inputs, self._domain(data)) for data in self.problem.observed]
         # a model with tables, or of one's own, ends with its objective; of others all objectives share their programs
-        own = front.interpolated or front.event == "own"
-        return partial(jax.jit(partial(_within, how)) if own else partial(_together, how), numbers, box)
+        own = any(front.interpolated or front.event == "own" for _, front, *_ in how[0])
+        return partial(jax.jit(partial(_within, how)) if own else partial(_together, how), numbers, box, domains)
+
+    def _domain(self, data: Observations) -> dict[str, tuple[float, float]]:
+        """Domain of each input of an observable."""
+        every = {**COMMON, **self.problem.parameters.front.inputs, **data.observable.inputs}
+        return {name: every[name][1:3] for name in data.inputs.names}
 
     def __getstate__(self) -> dict[str, Any]:
         return {"problem": self.problem}
@@ -92,8 +98,11 @@ class Objective:
 
     @property
     def sigma(self) -> np.ndarray:
-        """Standard error of each length in λc, (n,); 0 if none."""
-        return self.problem.lengths.sigma
+        """Standard error of each row, (n,); 0 if none.
+
+        Of lengths in λc, of forces of a sequence in N/m.
+        """
+        return self.problem.by_row(lambda data: data.sigma)
 
     def start(self) -> dict[str, Array]:
         """θ of the least value on a grid or in a sample."""
@@ -105,16 +114,16 @@ class Objective:
         return self.problem.parameters.values(np.array(self._numbers(theta), dtype=float))
 
 
-def _within(how: How, numbers: Any, box: tuple[Any, Any, Any], theta: Array) -> Array:
+def _within(how: How, numbers: Any, box: tuple[Any, Any, Any], domains: Any, theta: Array) -> Array:
     """The density; inf outside the domain, and NaN for NaN.
 
     What calls the host is called with θ inside.
     """
     low, high, middle = box
-    inside, every = (theta >= low) & (theta <= high) & jnp.isfinite(theta), {**COMMON, **how[0].inputs, **OF_GAUGES}
-    for inputs in (data.inputs for data in numbers[-1]):
-        for name in inputs.names:
-            inside &= ((x := inputs.get(name)(theta)) >= every[name].low).all() & (x <= every[name].high).all()
+    inside = (theta >= low) & (theta <= high) & jnp.isfinite(theta)
+    for inputs, domain in domains:
+        for name, (least, most) in domain.items():
+            inside &= ((x := inputs.get(name)(theta)) >= least).all() & (x <= most).all()
     inside = inside.all()
     value = density(how, numbers, jnp.where(inside, theta, middle))
     return jnp.where(inside, value, jnp.where(jnp.isnan(theta).any(), jnp.nan, jnp.inf))
@@ -139,12 +148,13 @@ def objective(
     event: MeasuredEvent | Front | None = None,
     body: Body | None = None,
     model_error: float | Literal["fitted"] | None = None,
+    seed: int = 0,
 ) -> Objective:
     """Return the function that `fit` minimises.
 
     Parameters
     ----------
-    measurements, free, bounds, fixed, loss, event, body, model_error
+    measurements, free, bounds, fixed, loss, event, body, model_error, seed
         As for `fit`, with priors, counts, limits, gauges, several specimens and offsets. Every length needs its σ.
 
     Returns
@@ -164,15 +174,18 @@ def objective(
     True
     """
     m = measurements_of(measurements)
-    if m.length_sigma is None and not m.is_sequence:
+    front = front_of(m, event, body)
+    if m.length_sigma is None and "length" in front.observes:
         raise ValueError(
             f"{m.source}: lengths without σ have no likelihood: give their standard errors; fit takes σ from the scatter"
         )
     _warn_of_single_precision()
     check_choice("loss", loss, Loss)
-    wanted = with_errors_of_measuring(m, wanted_parameters(m, free, bounds, fixed), size_known=True)
-    problem = make_problem(m, checked(m, wanted, event, body), loss, m.stated_sigma)
-    if m.is_sequence:
-        return Objective(gathered(problem, 0, model_error))
-    refuse_model_error(model_error)
-    return Objective(problem)
+    wanted = with_errors_of_measuring(m, wanted_parameters(m, free, bounds, fixed, front), front, size_known=True)
+    problem = make_problem(m, checked(m, wanted, front, loss=loss))
+    check_model_error(problem, model_error)
+    if not problem.emulates:
+        return Objective(problem)
+    problem = with_model_error(problem, model_error) if isinstance(model_error, float | int) else problem
+    problem = learnt(problem, seed)
+    return Objective(sized(problem) if model_error == "fitted" else problem)

@@ -31,7 +31,7 @@ from slippulse_jax.base.domains import check_choice, check_domain, check_whole, 
 from slippulse_jax.base.files import plain
 from slippulse_jax.base.shown import plural
 from slippulse_jax.inference.heterogeneous import Linearised, ProfileKind, ProfileProblem, followed, profile_problem
-from slippulse_jax.inference.model.check import check_used
+from slippulse_jax.inference.parameters import check_used
 from slippulse_jax.inference.table.measurements import Measurements
 
 _AMPLITUDES = {"threshold": np.geomspace(0.005, 0.3, 6), "prestress": np.geomspace(0.005, 0.2, 6)}

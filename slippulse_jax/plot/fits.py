@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from slippulse_jax.inference.model.fronts import BlockSequence
 from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.observables.sequence import record_of
 from slippulse_jax.inference.result.predicted import alike
 from slippulse_jax.inference.result.report import title
 from slippulse_jax.inference.result.verdict import Identifiability
@@ -41,8 +41,8 @@ if TYPE_CHECKING:
     from matplotlib.legend import Legend
 
     from slippulse_jax.inference.fit import FitResult
-    from slippulse_jax.inference.model.parameters import Free
-    from slippulse_jax.inference.model.sequence import Followed
+    from slippulse_jax.inference.model.series import BlockSeries, Followed
+    from slippulse_jax.inference.parameters import Free
     from slippulse_jax.inference.result.predicted import LengthCurve
     from slippulse_jax.inference.table.measurements import Gauges
 
@@ -83,7 +83,7 @@ def fit(result: "FitResult", *, caption: bool = False, width: float | None = Non
         One of a grid; the panels take its place.
     """
     names, wide = _determined(result)[:4], width_of(width, ax)
-    sequence, beside = isinstance(result.parameters.front, BlockSequence), wide >= NARROW
+    sequence, beside = result.main.extent(result.measurements) is not None, wide >= NARROW
     one = len(result.parameters.free) == 1 and "stiffness" in names[0] and not sequence
     most = round(CAPTION * wide / PAGE)
     heading = [as_written(line, most) for text in title(result, most) for line in textwrap.wrap(text, most)] if caption else []
@@ -341,9 +341,7 @@ def _draw_fitted(result: "FitResult", ax: "Axes", visible: float) -> None:
 
 def _curves(result: "FitResult", ax: "Axes") -> list[tuple[str, np.ndarray]]:
     """Colour and measurements of each curve."""
-    front = result.parameters.front
-    of_sequence = isinstance(front, BlockSequence)
-    groups = [np.flatnonzero(front.group == i) for i in np.unique(front.group)] if of_sequence else result.groups[1]
+    groups = result.groups[1]
     return list(zip(_palette(colours(ax), len(groups)), groups, strict=True))
 
 
@@ -387,7 +385,7 @@ def _open_where_shared(result: "FitResult") -> dict[str, Any]:
 
 
 def _check_lengths(result: "FitResult") -> None:
-    if isinstance(result.parameters.front, BlockSequence):
+    if result.main.extent(result.measurements) is not None:
         raise ValueError("the measurements are forces of a sequence, not lengths: use plot.fit or plot.fit_sequence")
 
 
@@ -400,9 +398,10 @@ def fit_sequence(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     fit: how far the front got, and at which force. In the band are 95 % of `DRAWS` series with parameters that the data allow.
     Ticks are the fitted forces, means over many series, each of which has its own order of breaks. A ValueError for lengths.
     """
-    front, size, name = _force_of(result)
+    size, name = _force_of(result)
     ax = axes(ax)
     m, curves, draws, place = result.measurements, _curves(result, ax), _draws(result), np.arange(0.5, 256) / 256
+    extent = record_of(m).place
     every = _followed(result, np.concatenate([result.theta[None], draws]))
     for (color, rows), (_, found) in zip(curves, every, strict=True):
         farther, reached = found.advance[0] > 0, np.minimum(found.reached[0], 1.0)
@@ -414,14 +413,14 @@ def fit_sequence(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
             label = f"{BAND_LEVEL:.0%} band of series" if last else None
             ax.fill_betweenx(place, *band, color=color, alpha=0.25, lw=0, label=label)
         label = "fitted: mean of series" if last else None
-        ax.plot((result.fitted * size)[rows], front.place[rows], "|", color=color, ms=7, mew=1.5, label=label)
-    force, used = result.problem.lengths.value[0] * size, result.sigma * size
+        ax.plot((result.fitted * size)[rows], extent[rows], "|", color=color, ms=7, mew=1.5, label=label)
+    force, used = m.or_zero("force") * size, result.sigma * size
     stated, along = m.or_zero("force_sigma") * size, np.nan_to_num(m.sigma) / m.or_zero("block_length")
     spans = np.array(m.kind) == "at_least"
     for marker, color, what, rows in _series(result, ax):
         shown = (rows[~spans[rows]], marker, 3.5, f"{what} ± σ"), (rows[spans[rows]], SPANNING, 5, "spanning ± σ")
         for own, sign, wide, label in (one for one in shown if one[0].size):
-            at, look = (force[own], front.place[own]), {"color": color, "zorder": 3}
+            at, look = (force[own], extent[own]), {"color": color, "zorder": 3}
             ax.errorbar(*at, along[own], stated[own], fmt=sign, ms=wide, capsize=2, label=label, **look)
             ax.errorbar(*at, None, used[own], fmt="none", elinewidth=0.6, label="± σ with the model's", **look)
     ax.set(xlabel=name, ylabel=EXTENT, ylim=(0, 1.06))
@@ -445,23 +444,25 @@ def _draws(result: "FitResult") -> np.ndarray:
     return theta[random.choice(len(theta), DRAWS, p=weight / weight.sum())]
 
 
-def _force_of(result: "FitResult") -> tuple[BlockSequence, np.ndarray, str]:
-    """Model of a sequence, drawn force per N/m, and its label."""
-    m, front = result.measurements, result.parameters.front
-    if not isinstance(front, BlockSequence):
+def _force_of(result: "FitResult") -> tuple[np.ndarray, str]:
+    """Drawn force per N/m, and its label."""
+    m = result.measurements
+    if result.main.extent(m) is None:
         raise ValueError("the measurements are lengths, not forces of a sequence: use plot.fit or plot.fit_lengths")
     if m.normal_load is not None:
-        return front, 1 / m.normal_load, OVER_LOAD
-    return front, m.unit_of_force[0], axis_label("force", m.unit_of_force[1])
+        return 1 / m.normal_load, OVER_LOAD
+    return m.unit_of_force[0], axis_label("force", m.unit_of_force[1])
 
 
 def _followed(result: "FitResult", theta: np.ndarray) -> "Iterator[tuple[np.ndarray, Followed]]":
     """Rows of each sequence, and its series at θ, (t, p)."""
-    front, size, _ = _force_of(result)
-    inputs = result.parameters.inputs.at(theta)
-    size = size * inputs.get("friction") * np.exp(result.parameters.scales["reach"](theta))
-    for rows, found in front.series(inputs):
-        yield rows, found._replace(force=found.force * size[:, rows[:1]])
+    (size, _), (data, *_) = _force_of(result), result.problem.observed
+    front, inputs, record = cast("BlockSeries", result.parameters.front), data.inputs.at(theta), record_of(result.measurements)
+    scale, friction = np.exp(data.scale(theta)), inputs.get("friction")
+    for run, (found, *_) in enumerate(front.follow(inputs)):
+        rows = np.flatnonzero(record.run == run)
+        size_of = size[rows[0]] * friction[:, run] * scale[:, rows[0]]
+        yield rows, found._replace(force=found.force * size_of[:, None])
 
 
 @drawn
@@ -472,7 +473,7 @@ def sequence_events(result: "FitResult", name: str | None = None, *, ax: "Axes |
     which only rises, while forces return to what they were. Of several sequences `name` chooses one; by default the first. A
     ValueError for lengths, and for a name that is not there.
     """
-    _, _, label = _force_of(result)
+    _, label = _force_of(result)
     names = result.measurements.sequence or ("",) * len(result.measurements)
     if name is not None and name not in names:
         raise ValueError(f"name = {name!r}: one of {', '.join(map(repr, sorted({*names})))}")
@@ -595,10 +596,10 @@ def residuals(result: "FitResult", *, along_height: bool = False, ax: "Axes | No
     """
     ax = axes(ax)
     c = colours(ax)
-    m, sigma, front = result.measurements, result.sigma, result.parameters.front
-    further, first, beyond = [], np.empty(0, int), (BEYOND, 6)
-    if isinstance(front, BlockSequence):
-        label, x, further, first, beyond = EXTENT, front.place, result.further, front.first, (SPANNING, 5)
+    m, sigma, extent = result.measurements, result.sigma, result.main.extent(result.measurements)
+    further, beyond = [], (BEYOND, 6)
+    if extent is not None:
+        label, x, further, beyond = EXTENT, extent, result.further, (SPANNING, 5)
         ax.set_xlim(0, 1.06)
     elif along_height:
         label, x = axis_label(result.groups[0], m.unit[1]), _places(result)
@@ -606,12 +607,12 @@ def residuals(result: "FitResult", *, along_height: bool = False, ax: "Axes | No
         label, x = axis_label("length", m.unit[1]).replace("precursor", "fitted"), result.fitted * m.unit[0]
     ax.axhspan(-1, 1, color=c.blue, alpha=0.12, lw=0, label="± σ")
     ax.axhline(0, color=c.grey, lw=0.8)
-    limit, look = np.array(m.kind) == "at_least", _open_where_shared(result) if along_height and not further else {}
+    limit, look = np.array(m.kind) == "at_least", _open_where_shared(result) if along_height and extent is None else {}
     for marker, color, _, rows in _series(result, ax):
         for own, sign, size in ((rows[~limit[rows]], marker, None), (rows[limit[rows]], *beyond)):
             ax.plot(x[own], result.residuals[own], sign, ms=size, color=color, **look)
         for one in further:
-            own = np.isin(first, rows)
+            own, first = np.isin(one.measurement, rows), one.measurement
             ax.plot(x[first[own]], one.residuals[own], marker, color=color, mfc="none", label="of the first length")
     per = "σ"
     ax.set_xlabel(label)

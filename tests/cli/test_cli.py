@@ -246,7 +246,7 @@ def test_what_is_not_found_is_one_line_and_exit_3(tmp_path, monkeypatch, in_this
     def lost(lanes, **_):
         return np.full(lanes.shape[1], np.nan), np.full(lanes.shape[1], Outcome.NOT_CONVERGED)
 
-    monkeypatch.setattr("slippulse_jax.inference.model.fronts.exact_fronts", lost)
+    monkeypatch.setattr("slippulse_jax.inference.model.slider.exact_fronts", lost)
     done = in_this_process("fit", str(tall))
     assert done.returncode == 3
     *_, last = done.stderr.splitlines()

@@ -104,7 +104,7 @@ def test_where_no_length_is_the_longest_attainable_json_has_null(monkeypatch):
     def endless(q, theta):
         return (np.full(len(q.inputs.at(theta).ratio), np.inf),) * 2
 
-    monkeypatch.setattr("slippulse_jax.inference.model.parameters.ParameterSet.attainable", endless)
+    monkeypatch.setattr("slippulse_jax.inference.parameters.ParameterSet.attainable", endless)
     done = run("--json")
     assert done.exit_code == 0, done.output
     assert set(json.loads(done.stdout)["attainable"]) == {None}

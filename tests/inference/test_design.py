@@ -15,8 +15,8 @@ import slippulse_jax as sp
 from slippulse_jax.cli.design import command
 from slippulse_jax.cli.shared import BAD_INPUT
 from slippulse_jax.inference.knowledge import draw, expected_gain, joint_gain, log_likelihood, log_likelihoods, outcomes
-from slippulse_jax.inference.model.fronts import WholeEvent
 from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.model.slider import WholeEvent
 
 
 def normal_prior(sd, nodes=801):

@@ -11,8 +11,9 @@ import pytest
 from reports import moves, section, unfolded
 
 from slippulse_jax import Measurements, Parameter, fit, plot, read_measurements
-from slippulse_jax.inference.model.fronts import RISING, FirstFront
+from slippulse_jax.inference.model.front import RISING
 from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.model.slider import FirstFront
 from slippulse_jax.inference.result.changes import of_inputs, total
 from slippulse_jax.inference.result.report import interval, value_with_error
 from slippulse_jax.inference.result.verdict import Identifiability
@@ -173,7 +174,7 @@ def test_plateau_without_domino_is_never_called_converged(monkeypatch):
     m = Measurements(height=[5.0], poisson=0.3, length=3.0, length_sigma=0.1)
     with pytest.raises(ValueError, match="no domino starts at k/K from 1e-09 to 0.0001; expected within"):
         fit(m, bounds=(1e-9, 1e-4))
-    monkeypatch.setattr("slippulse_jax.inference.model.check._check_reached", lambda *_: None)
+    monkeypatch.setattr("slippulse_jax.inference.parameters._check_reached", lambda *_: None)
     result = fit(m, bounds=(1e-9, 1e-4))
     assert result.roots == []
     assert result.stderrs["stiffness"] is None

@@ -21,8 +21,8 @@ from slippulse_jax.blocks.size import tall_length
 from slippulse_jax.cli.fit import command
 from slippulse_jax.cli.length import command as length_command
 from slippulse_jax.inference.model import family
+from slippulse_jax.inference.model.block import BlockEvent
 from slippulse_jax.inference.model.family import Families, geometry_of
-from slippulse_jax.inference.model.fronts import BlockEvent
 from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.result.record import as_request, from_request
 from slippulse_jax.inference.result.verdict import Identifiability

@@ -13,9 +13,9 @@ from slopes import slopes_of
 
 import slippulse_jax as sp
 from slippulse_jax.base.status import Outcome
-from slippulse_jax.inference.model.fronts import FirstFront
 from slippulse_jax.inference.model.inputs import Inputs
-from slippulse_jax.inference.model.observables import predicted
+from slippulse_jax.inference.model.slider import FirstFront
+from slippulse_jax.inference.observables import EVERY
 from slippulse_jax.inference.table.measurements import MeasurementError
 
 HEIGHT, TRUTH = np.array([12.0, 16.0, 20.0]), 0.0126
@@ -68,10 +68,10 @@ def test_observables_at_nucleation_and_gauges():
     height, sites = 16.0, 64
     inputs = Inputs.of(np.full(4, height), TRUTH, 0.3).given(log_sites=np.full(4, np.log(sites)))
     load, _ = dense_chain.responses(height, TRUTH, 0.3, sites, "free", sites)
-    assert predicted("displacement", FirstFront(), inputs)[0, 0] == pytest.approx(1 / load[0], rel=1e-9)
-    assert predicted("force", FirstFront(), inputs)[0, 0] == pytest.approx(load.sum() / load[0], rel=1e-9)
+    assert EVERY["displacement"]().evaluate(FirstFront(), inputs)[0, 0] == pytest.approx(1 / load[0], rel=1e-9)
+    assert EVERY["force"]().evaluate(FirstFront(), inputs)[0, 0] == pytest.approx(load.sum() / load[0], rel=1e-9)
     pushed = inputs.given(log_machine=np.full(4, np.log(MACHINE)))
-    assert predicted("displacement", FirstFront(), pushed)[0, 0] == pytest.approx(1 / load[0], rel=1e-9), (
+    assert EVERY["displacement"]().evaluate(FirstFront(), pushed)[0, 0] == pytest.approx(1 / load[0], rel=1e-9), (
         "of the edge, not of the machine"
     )
     chain = dense_chain.DenseChain.uniform((height, TRUTH, 0.3), np.ones(sites), 0.0, "free", spring=MACHINE)
@@ -82,8 +82,8 @@ def test_observables_at_nucleation_and_gauges():
     count = float(np.count_nonzero(chain.pinning))
     read = pushed.given(log_position=np.log(np.maximum(place, 1e-9)), beyond=np.zeros(4), counted=np.full(4, count))
     at = place.astype(int)
-    np.testing.assert_allclose(predicted("slip", FirstFront(), read)[0], (chain.fields()[1] - before)[at], atol=1e-7)
-    np.testing.assert_allclose(predicted("stress", FirstFront(), read)[0], chain.stress()[at], atol=1e-7)
+    np.testing.assert_allclose(EVERY["slip"]().evaluate(FirstFront(), read)[0], (chain.fields()[1] - before)[at], atol=1e-7)
+    np.testing.assert_allclose(EVERY["stress"]().evaluate(FirstFront(), read)[0], chain.stress()[at], atol=1e-7)
 
 
 @pytest.mark.ci

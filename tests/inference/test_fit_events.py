@@ -18,9 +18,10 @@ import slippulse_jax as sp
 from slippulse_jax import plot
 from slippulse_jax.base.status import NotConverged
 from slippulse_jax.cli.fit import command
-from slippulse_jax.inference.model import fronts
-from slippulse_jax.inference.model.fronts import FirstFront, WholeEvent, front_for
+from slippulse_jax.inference.model import slider
 from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.model.models import front_for
+from slippulse_jax.inference.model.slider import FirstFront, WholeEvent
 from slippulse_jax.inference.result.record import as_request, from_request
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.plot.labels import AGAIN
@@ -102,7 +103,7 @@ def test_a_point_without_a_value_does_not_end_a_fit(monkeypatch):
     """Events that are given up at some stiffnesses; and at all, which is an error."""
     for most, rejected in ((20.0, False), (0.0, True)):
         monkeypatch.setattr(
-            fronts,
+            slider,
             "_over_front",
             lambda place, most=most: np.where(np.exp(place[:, 1:2]) < most, 1.0, np.nan) + 0 * place[:, :1],
         )
@@ -131,7 +132,7 @@ def test_lengths_unlike_all_that_were_measured_come_from_lower_sliders():
         np.testing.assert_allclose(found, exact, rtol=0.01)
     few = inputs.take(np.array([0, 1]))
     rough = sp.Measurements(height[:1], 0.3, exact[1:2], exact[1] / 4)  # within its errors b = 1 is like it
-    assert exact[0] < exact[1] / fronts.UNLIKE
+    assert exact[0] < exact[1] / slider.UNLIKE
     np.testing.assert_array_equal(WholeEvent(rough).lengths(few), exact[:2])
 
 
@@ -142,7 +143,7 @@ def test_events_that_a_prestress_carries_far_beyond_their_front_are_looked_at(pr
     height = np.array([1600.0])
     inputs = Inputs.of(height, b / (2.6 * height), 0.3, prestress=prestress)
     exact = WholeEvent().lengths(inputs)
-    assert exact > fronts.UNLIKE * FirstFront().lengths(inputs)
+    assert exact > slider.UNLIKE * FirstFront().lengths(inputs)
     m = sp.Measurements(height, 0.3, exact, 1.0, prestress=prestress)
     assert WholeEvent(m).lengths(inputs) == exact
 

@@ -19,15 +19,15 @@ import slippulse_jax as sp
 from slippulse_jax import Measurements, Parameter, fit, read_measurements
 from slippulse_jax.base.status import Outcome
 from slippulse_jax.inference.fit import wanted_parameters
-from slippulse_jax.inference.model.check import checked
-from slippulse_jax.inference.model.fronts import FirstFront
 from slippulse_jax.inference.model.inputs import Inputs
-from slippulse_jax.inference.model.observables import predicted
-from slippulse_jax.inference.model.parameters import parameter_set
+from slippulse_jax.inference.model.slider import FirstFront
+from slippulse_jax.inference.observables import EVERY, Count, Length
+from slippulse_jax.inference.observables.observable import Observations, loss_of
+from slippulse_jax.inference.parameters import checked, parameter_set
 from slippulse_jax.inference.result.samples import bootstrap
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.inference.search.intervals import rise_of
-from slippulse_jax.inference.search.likelihood import EXPECTED, INFORMATION, Observations, costs, loss_of, make_problem
+from slippulse_jax.inference.search.likelihood import EXPECTED, INFORMATION, costs, make_problem
 
 
 def model(height, stiffness, poisson=0.3, prestress=0.0, slope=0.0):
@@ -40,9 +40,9 @@ def log_stderr(result):
     return result.stderrs[result.names[0]] / result.values[result.names[0]]
 
 
-def observations(kind, value, sigma, weight):
+def observations(observable, value, sigma, weight):
     """Data without a model."""
-    return Observations(kind, value, sigma, weight, "length", *[None] * 5)
+    return Observations(observable, value, sigma, weight, *[None] * 5)
 
 
 def log_width(result, level):
@@ -65,8 +65,8 @@ def problem_of_everything(loss):
         Parameter("stiffness", each="specimen"), "poisson", "prestress", "strength", "offset",
         Parameter("correlation_length", prior=(1e-5, 1e-6)), Parameter("young", prior=(3e9, 1e8)), Parameter("model_factor", prior=(1, 0.1)),
     ]  # fmt: skip
-    q = parameter_set(m, asked)
-    problem = make_problem(m, q, loss, m.sigma)
+    q = parameter_set(m, asked, loss=loss)
+    problem = make_problem(m, q)
     value = {"poisson": 0.31, "prestress": 0.05, "offset": 1e-4}
     start = {
         "areal_stiffness[A]": 2e10,
@@ -105,7 +105,7 @@ def test_parts_of_a_sum_of_squares():
     """Residuals and information of plain lengths with a prior, against the value and its derivatives; replicates."""
     m = Measurements(height=[20.0, 30.0, 40.0], poisson=0.3, length=[20.0, 29.0, 36.0], length_sigma=[0.5, 1.0, 2.0])
     q = parameter_set(m, ["stiffness", Parameter("poisson", prior=(0.3, 0.02))])
-    problem = make_problem(m, q, "normal", m.sigma)
+    problem = make_problem(m, q)
     theta = np.array([np.log(0.03), 0.31])
     at, mu = problem(theta, order=2), problem.predictions(theta[None])
     residuals = problem.residuals(theta[None])
@@ -194,7 +194,7 @@ def test_slopes_in_the_threshold_slope_and_at_the_end_of_the_domain():
 def test_likelihood_of_a_count_is_that_of_its_interval():
     """P(n) = Φ((n − ℓ)/σ) − Φ((n − 1 − ℓ)/σ), also far out in both tails, and without blur the interval itself."""
     data = observations(
-        np.array(["whole"] * 4),
+        Count(),
         np.array([[26.0, 26, 26, 26]]),
         np.array([0.7, 0.01, 1e-6, 0.0]),
         np.ones((1, 4)),
@@ -203,11 +203,11 @@ def test_likelihood_of_a_count_is_that_of_its_interval():
         # by the tail that loses no digits
         a, b = (25 - mu) / 0.7, (26 - mu) / 0.7
         probability = ndtr(-a) - ndtr(-b) if a > 0 else ndtr(b) - ndtr(a)
-        found, slope, *_ = costs(np.full((1, 4), mu), data, np.zeros(1, int), "normal")
+        found, slope, *_ = costs(np.full((1, 4), mu), data, np.zeros(1, int))
         assert found[0, 0] == pytest.approx(-np.log(probability), rel=1e-9)
         assert np.isfinite(found).all()
         h = 1e-6
-        near = [costs(np.full((1, 4), mu + s), data, np.zeros(1, int), "normal")[0] for s in (h, -h)]
+        near = [costs(np.full((1, 4), mu + s), data, np.zeros(1, int))[0] for s in (h, -h)]
         np.testing.assert_allclose(slope[0, :1], (near[0] - near[1])[0, :1] / (2 * h), rtol=1e-6)
         inside = 25 < mu <= 26
         assert (found[0, 3] < 1e-6) == inside
@@ -218,11 +218,11 @@ def test_an_improbable_count_is_as_rare_as_its_cost_says():
     count, worst = np.arange(1.0, 160), 0.0
     for sigma in np.geomspace(0.02, 20, 13):
         m = Measurements(np.full(159, 200.0), 0.3, count, np.full(159, sigma), kind=["whole"] * 159)
-        problem = make_problem(m, parameter_set(m, wanted_parameters(m, "stiffness", None, None)), "normal", m.stated_sigma)
+        problem = make_problem(m, parameter_set(m, wanted_parameters(m, "stiffness", None, None)))
         least = np.where(count > 1, -np.log(2 * ndtr(1 / (2 * sigma)) - 1), 0)
-        assert problem.perfect == pytest.approx(2 * least.sum(), rel=1e-9, abs=1e-9)
+        assert problem.perfect(problem.parameters.low) == pytest.approx(2 * least.sum(), rel=1e-9, abs=1e-9)
         for mu in np.concatenate([np.linspace(0, 3, 16), np.linspace(30, 31, 11)]):
-            cost = costs(np.full((1, 159), mu), problem.lengths, np.zeros(1, int), "normal")[0, 0]
+            cost = costs(np.full((1, 159), mu), problem.observed[0], np.zeros(1, int))[0, 0]
             rare = np.exp(least - cost)
             order = np.argsort(rare)
             share = np.cumsum(np.exp(-cost)[order]) / np.maximum(rare[order], 1e-300)
@@ -265,8 +265,8 @@ def test_a_limit_that_the_lengths_deny_counts_against_the_fit():
 
 def test_a_datum_left_out_costs_nothing_where_its_front_never_stops():
     """Nor does it warn: 0 times inf is NaN. As in a refit without an outlier, and in a bootstrap by cases."""
-    data = observations(np.array(["length", "length"]), np.array([[9.0, 20.0]]), np.array([0.5, 0.5]), np.array([[1.0, 0.0]]))
-    found = costs(np.array([[9.5, np.inf]]), data, np.array([0]), "normal")
+    data = observations(Length(), np.array([[9.0, 20.0]]), np.array([0.5, 0.5]), np.array([[1.0, 0.0]]))
+    found = costs(np.array([[9.5, np.inf]]), data, np.array([0]))
     np.testing.assert_allclose(found[0], [[0.5, 0.0]])
     assert np.isfinite(found).all()
 
@@ -280,9 +280,9 @@ def test_counts_of_every_length_add_up_to_certainty():
     """A count of 1 is any length up to 1: contact 0 breaks even where no domino starts."""
     count = np.arange(1.0, 40)
     for sigma in (0.0, 0.3, 2.0):
-        data = observations(np.full(39, "whole"), count[None], np.full(39, sigma), np.ones((1, 39)))
+        data = observations(Count(), count[None], np.full(39, sigma), np.ones((1, 39)))
         for mu in (0.0, 0.6, 3.2, 17.4):
-            found, slope, *_ = costs(np.full((1, 39), mu), data, np.zeros(1, int), "normal")
+            found, slope, *_ = costs(np.full((1, 39), mu), data, np.zeros(1, int))
             assert np.exp(-found).sum() == pytest.approx(1, abs=1e-12)
             assert np.isfinite(slope).all()
 
@@ -408,8 +408,8 @@ def test_force_and_displacement_give_the_strength():
     length = FirstFront().lengths(inputs)
     m = Measurements(
         height=height, poisson=0.3, length=length, length_sigma=0.01 * length, correlation_length=lc, young=young,
-        displacement=predicted("displacement", FirstFront(), inputs)[0] * strength / areal, displacement_sigma=1e-6,
-        force=predicted("force", FirstFront(), inputs)[0] * strength * lc, force_sigma=100.0,
+        displacement=EVERY["displacement"]().evaluate(FirstFront(), inputs)[0] * strength / areal, displacement_sigma=1e-6,
+        force=EVERY["force"]().evaluate(FirstFront(), inputs)[0] * strength * lc, force_sigma=100.0,
     )  # fmt: skip
     result = fit(m, ["stiffness", "strength"])
     assert result.values["strength"] == pytest.approx(strength, rel=1e-5)
@@ -421,8 +421,8 @@ def test_force_at_nucleation_is_what_the_contacts_carry():
     """The sum over the lattice modes, against the stresses of a dense chain added up one by one."""
     load, _ = dense_chain.responses(10.0, 0.03, 0.3, 600, "semi-infinite", 600)
     inputs = Inputs.of([10.0], 0.03, 0.3)
-    assert predicted("force", FirstFront(), inputs)[0, 0] == pytest.approx(load.sum() / load[0], rel=1e-9)
-    assert predicted("displacement", FirstFront(), inputs)[0, 0] == pytest.approx(1 / load[0], rel=1e-9)
+    assert EVERY["force"]().evaluate(FirstFront(), inputs)[0, 0] == pytest.approx(load.sum() / load[0], rel=1e-9)
+    assert EVERY["displacement"]().evaluate(FirstFront(), inputs)[0, 0] == pytest.approx(1 / load[0], rel=1e-9)
 
 
 @pytest.mark.ci

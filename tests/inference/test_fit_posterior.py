@@ -19,9 +19,9 @@ from click.testing import CliRunner
 from slippulse_jax import Measurements, Parameter, fit
 from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.fit import FitResult
-from slippulse_jax.inference.model.fronts import FirstFront
 from slippulse_jax.inference.model.inputs import Inputs
-from slippulse_jax.inference.model.parameters import parameter_set
+from slippulse_jax.inference.model.slider import FirstFront
+from slippulse_jax.inference.parameters import parameter_set
 from slippulse_jax.inference.result.samples import Samples
 from slippulse_jax.inference.search.likelihood import make_problem
 
@@ -35,8 +35,8 @@ def test_density_is_the_objective(loss):
     m = Measurements(
         height=[20, 30, 40], poisson=0.3, length=[15, 24, 30], length_sigma=[0.5, 0.6, 0.7], kind=["length", "whole", "at_least"]
     )  # fmt: skip
-    q = parameter_set(m, ["stiffness", Parameter("poisson", prior=(0.3, 0.02))])
-    problem = make_problem(m, q, loss, m.sigma)
+    q = parameter_set(m, ["stiffness", Parameter("poisson", prior=(0.3, 0.02))], loss=loss)
+    problem = make_problem(m, q)
     theta = np.random.default_rng(0).uniform([-7, 0.2], [-4, 0.4], (4, 2))
     density = jax.jit(jax.vmap(problem.traced))(theta)
     np.testing.assert_allclose(density, problem(theta).value, rtol=1e-9)

@@ -469,13 +469,15 @@ def test_the_deviance_is_that_of_the_residuals_shown(name, worked):
     """And a report has room on a page: its box is no wider than its widest sentence allows, or a row of a table."""
     result = worked(name)
     if result.problem.plain:
-        white = result.problem.lengths.whitening  # of forces of a sequence, which err together, as the report says
-        residuals = result.residuals if white is None else white @ (result.residuals * result.sigma)
-        assert (white is not None) == (name == "sequence")
-        parts = [(residuals**2).sum(), *((one.residuals**2).sum() for one in result.further)]
+        assert result.problem.emulates == (name == "sequence")
+        parts = []
+        for one, data in zip(result.data, result.problem.observed, strict=True):
+            open_ = result.problem.covariance(result.theta, data)  # of forces of a sequence, which err together
+            off = one.residuals * one.sigma
+            parts.append(off @ np.linalg.solve(open_ + np.diag(data.sigma**2), off))
         for one, t in zip(result.parameters.free, result.theta, strict=True):
             parts.append(((t - one.prior_mean) / one.prior_sigma) ** 2 if np.isfinite(one.prior_sigma) else 0.0)
-        assert result.deviance == pytest.approx(sum(parts), rel=1e-9, abs=1e-12)
+        assert result.misfit == pytest.approx(sum(parts), rel=1e-9, abs=1e-12)
     report = result.report()
     box = [line for line in report.splitlines() if line.startswith(("┌", "│", "└"))]
     values = 1 + len(result.names) + len(result.stiffness_ratios)
@@ -730,8 +732,9 @@ def test_errors_of_measuring_are_those_of_what_was_measured():
     provenance = ["measured", "measured", "", "", "", ""]
     result = sp.fit(lengths(provenance=provenance))
     q = result.parameters
-    assert q.scales["offset"].slope[:, q.index("offset")].tolist() == [1, 1, 0, 0, 0, 0]
-    assert q.scales["length"].slope[:, q.index("model_factor")].tolist() == [1, 1, 0, 0, 0, 0]
+    scale, offset = q.of_lengths
+    assert offset.slope[:, q.index("offset")].tolist() == [1, 1, 0, 0, 0, 0]
+    assert scale.slope[:, q.index("model_factor")].tolist() == [1, 1, 0, 0, 0, 0]
 
 
 def test_no_size_of_errors_from_a_scatter_that_counts_do_not_have():

@@ -15,10 +15,10 @@ import slippulse_jax as sp
 from benchmarks import gauge_coverage
 from slippulse_jax.cli.fit import command
 from slippulse_jax.front.front import slip_and_stress
-from slippulse_jax.inference.model.fronts import FirstFront
 from slippulse_jax.inference.model.inputs import Inputs
-from slippulse_jax.inference.model.observables import predicted
-from slippulse_jax.inference.model.parameters import parameter_set
+from slippulse_jax.inference.model.slider import FirstFront
+from slippulse_jax.inference.observables import EVERY
+from slippulse_jax.inference.parameters import parameter_set
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.inference.search.likelihood import make_problem
 from slippulse_jax.inference.search.minimise import minimise
@@ -63,9 +63,11 @@ def test_fields_are_those_of_the_dense_program(height, stiffness, prestress):
     np.testing.assert_allclose(between[1], step * stress[:64] + (1 - step) * stress_before[:64], atol=1e-12)
     places = np.array([3.25, count - 1.5, count + 20])
     inputs = at_gauges(np.full(3, height), stiffness, prestress, places, 0.0, count)
-    np.testing.assert_allclose(predicted("slip", FirstFront(), inputs)[0], np.interp(places, np.arange(120), slip), atol=1e-12)
     np.testing.assert_allclose(
-        predicted("stress", FirstFront(), inputs)[0], np.interp(places, np.arange(120), stress), atol=1e-12
+        EVERY["slip"]().evaluate(FirstFront(), inputs)[0], np.interp(places, np.arange(120), slip), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        EVERY["stress"]().evaluate(FirstFront(), inputs)[0], np.interp(places, np.arange(120), stress), atol=1e-12
     )
 
 
@@ -76,7 +78,7 @@ def test_a_front_without_a_count_stops_at_its_length():
     length = sp.exact_lengths(sp.Slider(2000.0, 1e-3, 0.3)) + 0.4
     with jax.enable_x64(True):
         slip, _ = slip_and_stress(sp.Slider(2000.0, 1e-3, 0.3), jnp.asarray(0.0), jnp.asarray(float(length)), 4096)
-    found = predicted("slip", FirstFront(), inputs)[0]
+    found = EVERY["slip"]().evaluate(FirstFront(), inputs)[0]
     assert found[0] == pytest.approx(float(slip[1500]), abs=1e-9)
     assert found[1] == np.inf
 
@@ -108,7 +110,7 @@ def test_objective(kind):
     m = table(kind, np.random.default_rng(0))
     q = parameter_set(m, ["stiffness", "strength", "prestress", sp.Parameter("correlation_length", prior=(LC, LC / 10))])
     assert [one.label for one in q.free if one.nuisance] == (["arrest[0]", "arrest[1]"] if kind == "length" else [])
-    problem = make_problem(m, q, "normal", m.sigma)
+    problem = make_problem(m, q)
     theta = np.array([np.log(AREAL) - 0.05, np.log(STRENGTH) + 0.03, 0.02, np.log(1.02 * LC), 0.35, 0.6])[: problem.p]
     step = 1e-5 * np.eye(problem.p)
     slope = (problem(theta + step).value - problem(theta - step).value) / 2e-5
@@ -155,7 +157,7 @@ def rises(kind, studies, seed):
     for _ in range(studies):
         m = table(kind, rng)
         q = parameter_set(m, ["stiffness", "strength"])
-        problem = make_problem(m, q, "normal", m.sigma)
+        problem = make_problem(m, q)
         start = np.append(np.log([AREAL, STRENGTH]), np.full(problem.p - 2, 0.5))
         best, true = (minimise(problem, start, q.low, q.high, held=np.arange(problem.p) < n).value[0] for n in (0, 2))
         found.append(2 * (true - best))

@@ -11,8 +11,7 @@ from reports import unfolded
 import slippulse_jax as sp
 from slippulse_jax.base.domains import Domain
 from slippulse_jax.cli.fit import command
-from slippulse_jax.inference.model.check import suspicions
-from slippulse_jax.inference.model.parameters import Parameter
+from slippulse_jax.inference.parameters import Parameter, suspicions
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.inference.table.columns import COLUMNS
 from slippulse_jax.inference.table.measurements import MeasurementError, Measurements, MeasurementWarning

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import slippulse_jax as sp
-from slippulse_jax.inference.model.parameters import MODEL_ERROR
+from slippulse_jax.inference.parameters import MODEL_ERROR
 
 HEIGHT = np.array([25.0, 35.0, 45.0, 55.0, 65.0, 75.0]) * 10
 STIFFNESS = 3e-4

@@ -12,8 +12,8 @@ from test_gauges import AREAL, LC, RATIO, STRENGTH, UNIT, YOUNG, table
 import slippulse_jax as sp
 from slippulse_jax.base.status import Outcome
 from slippulse_jax.cli.fit import command
-from slippulse_jax.inference.model.fronts import front_for
-from slippulse_jax.inference.model.parameters import parameter_set
+from slippulse_jax.inference.model.models import front_for
+from slippulse_jax.inference.parameters import parameter_set
 from slippulse_jax.inference.search.likelihood import make_problem
 
 FRICTION = 0.4
@@ -104,7 +104,7 @@ def test_lengths_of_cracks_are_fitted_and_traced(tmp_path):
 def test_second_derivatives_where_there_is_no_friction():
     """Differences stay within the range: a crack with less than none has no length."""
     m = sp.Measurements([20.0, 40.0], 0.3, [15.0, 30.0], 0.3)
-    problem = make_problem(m, parameter_set(m, ["stiffness", "friction"], front_for("slider", "crack")), "normal", m.sigma)
+    problem = make_problem(m, parameter_set(m, ["stiffness", "friction"], front_for("slider", "crack")))
     at, near = (problem(np.array([[np.log(0.004), x]]), order=2).curvature for x in (0.0, 1e-3))
     np.testing.assert_allclose(at, near, rtol=0.05)  # one-sided at the limit
 

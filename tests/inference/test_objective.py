@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 
 import slippulse_jax as sp
 from slippulse_jax.inference.fit import fit
-from slippulse_jax.inference.model.fronts import Front
+from slippulse_jax.inference.model.front import Front
 from slippulse_jax.inference.model.inputs import Input
 from slippulse_jax.inference.objective import _together
 

@@ -13,7 +13,7 @@ from inference.test_sequence_inputs import BOTH, table
 
 import slippulse_jax as sp
 from slippulse_jax.cli import fit as fit_command
-from slippulse_jax.inference.model.parameters import wanted_parameters
+from slippulse_jax.inference.parameters import wanted_parameters
 from slippulse_jax.inference.result.record import from_request, read_request
 from slippulse_jax.inference.table.columns import COLUMNS, MeasurementError
 from slippulse_jax.inference.table.measurements import read_gauges

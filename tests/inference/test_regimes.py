@@ -7,7 +7,7 @@ import random_tables
 import slippulse_jax as sp
 from benchmarks.regimes import counts, roots_missed, run, two
 from slippulse_jax.base.status import Outcome
-from slippulse_jax.inference.model.parameters import parameter_set
+from slippulse_jax.inference.parameters import parameter_set
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.inference.search.intervals import allowed_by_counts
 from slippulse_jax.inference.search.likelihood import make_problem
@@ -19,7 +19,7 @@ def whole(height, length):
 
 
 def problem_of(m, *free):
-    return make_problem(m, parameter_set(m, free), "normal", np.ones(len(m)) if m.length_sigma is None else m.sigma)
+    return make_problem(m, parameter_set(m, free))
 
 
 @pytest.mark.ci
@@ -117,7 +117,7 @@ def test_a_minimum_at_the_edge_of_a_count_is_found(height):
 def test_second_derivative_next_to_the_edge_of_a_count(loss):
     """Where the deviance turns from a floor to a wall within 2e-6 of ln k: of the blurred edge, and not of a step over it."""
     m = beside_a_count(2000.0)
-    problem = make_problem(m, parameter_set(m, ["stiffness"]), loss, m.sigma)
+    problem = make_problem(m, parameter_set(m, ["stiffness"], loss=loss))
     theta = np.log(sp.fit(m).intervals["stiffness"][0.95][0].low)
     at = problem(np.array([[theta], [theta + 1e-6]]), order=2)
     step = 1e-9
@@ -152,14 +152,16 @@ def test_limits_alone_end(loss, sigma):
 @pytest.mark.parametrize("kind", ["whole", "at_least"])
 def test_slope_of_a_limit_however_far_away(kind):
     """By σ = 0, of a thousandth of a contact: 1e8 blurs, where a difference of logarithms has no digits left."""
-    from slippulse_jax.inference.search.likelihood import Observations, costs
+    from slippulse_jax.inference.observables import Count, Limit
+    from slippulse_jax.inference.observables.observable import Observations
+    from slippulse_jax.inference.search.likelihood import costs
 
     off = -np.array([1.0, 1e2, 1e5])
     value = np.full((1, 3), 2e5)
     none = None  # what the cost does not depend on
-    data = Observations(np.full(3, kind), value, np.zeros(3), np.ones((1, 3)), "length", *[none] * 5)
+    data = Observations(Count() if kind == "whole" else Limit(), value, np.zeros(3), np.ones((1, 3)), *[none] * 5)
     edge = value - (kind == "whole")
-    _, slope, _, bend = costs(edge + off, data, np.zeros(1, int), "normal")
+    _, slope, _, bend = costs(edge + off, data, np.zeros(1, int))
     np.testing.assert_allclose(slope[0], off * 1e6, rtol=2e-6)
     np.testing.assert_allclose(bend[0], 1e6, rtol=2e-6)
 

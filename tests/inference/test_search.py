@@ -6,7 +6,7 @@ import random_tables
 
 import slippulse_jax as sp
 from slippulse_jax.inference.fit import wanted_parameters
-from slippulse_jax.inference.model.parameters import parameter_set, with_errors_of_measuring
+from slippulse_jax.inference.parameters import parameter_set, with_errors_of_measuring
 from slippulse_jax.inference.search.minima import DevianceGrid
 
 pytestmark = pytest.mark.filterwarnings("ignore::slippulse_jax.inference.table.measurements.MeasurementWarning")

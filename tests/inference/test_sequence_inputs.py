@@ -10,10 +10,11 @@ import pytest
 from reports import unfolded
 
 import slippulse_jax as sp
-from slippulse_jax.inference.model.check import checked, suspicions
-from slippulse_jax.inference.model.fronts import BlockSequence
-from slippulse_jax.inference.model.parameters import PARAMETERS, Parameter, parameter_set, stated_errors
-from slippulse_jax.inference.result.report import _holds_for, _of_events, _of_model, _of_sigma
+from slippulse_jax.inference.model.series import BlockSeries
+from slippulse_jax.inference.observables import PlaceForce
+from slippulse_jax.inference.observables.sequence import no_record, record_of
+from slippulse_jax.inference.parameters import PARAMETERS, Parameter, checked, parameter_set, stated_errors, suspicions
+from slippulse_jax.inference.result.report import _holds_for, _of_model, _of_sigma
 from slippulse_jax.inference.table.columns import MeasurementError
 
 EVENTS = """
@@ -78,8 +79,8 @@ def test_every_event_has_a_run_or_none_has():
         ):
             measured(sequence=["A", "A", "A", "B", blank, "B"])
     runs = measured(event=[1, 2, 3, 1, 2, 3], sequence=list("AAABBB"))
-    assert BlockSequence(runs).first.tolist() == [0, 3]
-    assert BlockSequence(measured(sequence="")).first.tolist() == [0]
+    assert np.flatnonzero(record_of(runs).first).tolist() == [0, 3]
+    assert np.flatnonzero(record_of(measured(sequence="")).first).tolist() == [0]
 
 
 RECORD = [10.25, 57.84, 72.32, 76.83, 81.91, 90.0]
@@ -99,9 +100,8 @@ RECORD = [10.25, 57.84, 72.32, 76.83, 81.91, 90.0]
 )
 def test_what_is_no_record_is_said(events, lengths, first, said):
     m = measured(event=events, length_mm=lengths)
-    front = BlockSequence(m)
-    assert front.first.tolist() == first
-    found = [*_of_events(m, front)]
+    assert np.flatnonzero(record_of(m).first).tolist() == first
+    found = [*no_record(m)]
     assert len(found) == len(said)
     for text, expected in zip(found, said, strict=True):
         assert text.startswith(expected)
@@ -141,20 +141,15 @@ def test_a_spanning_row_alone_is_a_datum():
 
 def in_the_model(m, error=0.0):
     """What series depend on, and forces, places and lengths as they are compared, at one stiffness, with a nuisance moved."""
-    q = parameter_set(m, BOTH, BlockSequence(m))
+    q = parameter_set(m, BOTH, BlockSeries())
     theta = np.array([np.log(5.9e10), 0.35, *(one.prior_mean + error for one in q.free[2:])])
-    inputs, front = q.inputs.at(theta), q.front
-    extent = inputs.get("log_extent")
-    place = np.where(front.error > 0, front.place * np.exp(-extent), front.place)
-    force = (m.force - q.scales["force_offset"](theta)) / np.exp(q.scales["reach"](theta))
+    inputs, record = q.inputs.at(theta), record_of(m)
+    extent, arrested = inputs.get("log_extent"), record.error > 0
+    place = np.where(arrested, record.place * np.exp(-extent), record.place)
+    data = PlaceForce().data(m, q)
+    force = (m.force - data.offset(theta)) / np.exp(data.scale(theta))
     length = np.log(m.length / m.block_length) - extent
-    return (
-        np.nan_to_num(front._numbers(inputs)[:, :-1], posinf=99.0),
-        inputs.get("log_sites"),
-        force,
-        place,
-        length[front.error > 0],
-    )
+    return np.nan_to_num(q.front.numbers(inputs)[:, :-2], posinf=99.0), inputs.get("log_sites"), force, place, length[arrested]
 
 
 @pytest.mark.parametrize(("name", "forces"), [*((name, "N") for name in OF_INPUTS), ("block_width", "N_per_mm")])
@@ -165,8 +160,8 @@ def test_an_error_of_an_input_is_a_nuisance_that_acts_as_its_column(name, forces
     rows = rows.rename(columns={f"force{end}_N": f"force{end}_{forces}" for end in ("", "_sigma")})
     rows = rows.rename(columns={"young_GPa": "young_Pa"}).assign(young_Pa=3e9) if name == "young" else rows
     m = sp.Measurements.from_dataframe(rows.assign(**{f"{name}_sigma{unit}": OF_INPUTS[name]}))
-    assert [*stated_errors(m, BlockSequence(m))] == [name]
-    (nuisance,) = parameter_set(m, BOTH, BlockSequence(m)).free[2:]
+    assert [*stated_errors(m, BlockSeries())] == [name]
+    (nuisance,) = parameter_set(m, BOTH, BlockSeries()).free[2:]
     assert (nuisance.name, nuisance.nuisance) == (name, True)
     assert nuisance.prior_sigma == pytest.approx(0.003 if name == "poisson" else 0.01, rel=1e-9)
     larger = sp.Measurements.from_dataframe(rows.assign(**{f"{name}{unit}": 1.01 * rows[f"{name}{unit}"]}))
@@ -188,10 +183,9 @@ def test_a_width_acts_on_what_is_stated_over_all_of_it(force, load, machine):
         return  # no width
     names = {f"force{end}_N": f"force{end}_{force}" for end in ("", "_sigma")} | {"normal_load_N": f"normal_load_{load}"}
     m = sp.Measurements.from_dataframe(rows.rename(columns=names))
-    q = parameter_set(m, BOTH, BlockSequence(m))
+    q = parameter_set(m, BOTH, BlockSeries())
     at = [one.name for one in q.free].index("block_width")
-    by = {"reach": (force == "N") - (load == "N"), "force": force == "N"}
-    assert {name: q.scales[name].slope[0, at] for name in by} == by
+    assert PlaceForce().data(m, q).scale.slope[0, at] == (force == "N") - (load == "N")
     moved = [q.inputs.at(np.eye(len(q.free))[at] * x).get("log_machine") for x in (0.0, 1.0)]
     np.testing.assert_array_equal(moved[1] - moved[0], -1.0) if machine else np.testing.assert_array_equal(*moved)
 
@@ -200,21 +194,21 @@ def test_the_length_over_which_places_are_read_is_a_coordinate_of_surfaces():
     """With errors of all lengths of a block stated, no combination of them leaves a series and its reading as they were."""
     errors = {"height_sigma_mm": 0.3, "push_height_sigma_mm": 0.05, "push_width_sigma_mm": 0.03, "block_length_sigma_mm": 0.9}
     m = sp.Measurements.from_dataframe(table().assign(**errors))
-    q = parameter_set(m, BOTH, BlockSequence(m))
+    q = parameter_set(m, BOTH, BlockSeries())
     theta = np.array([one.prior_mean if one.nuisance else (one.low + one.high) / 2 for one in q.free])
-    numbers = [q.front._numbers(q.inputs.at(theta + step))[0] for step in (0 * theta, *(1e-3 * np.eye(len(theta))))]
+    numbers = [q.front.numbers(q.inputs.at(theta + step))[0] for step in (0 * theta, *(1e-3 * np.eye(len(theta))))]
     still, *moved = np.nan_to_num(numbers, posinf=0.0)
     assert np.linalg.matrix_rank((moved - still) / 1e-3, tol=0.1) == len(theta) == 6
 
 
 @pytest.mark.ci
 def test_forces_have_errors_as_other_inputs_have(six):
-    """Forces larger by 1 % are a friction larger by 1 %, less the change of the tilt; and a normal load smaller by 1 %."""
+    """Forces larger by 1 % are a friction larger by 1 %, and by what it tilts the pressure more (1.036 %); F_N the opposite."""
     moves = {change.name: change for change in six.changes}
     of_stiffness = [moves[name].moves["areal_stiffness"][0] for name in ("force", "normal_load")]
     assert of_stiffness[0] == pytest.approx(-of_stiffness[1], abs=1e-3)
     by = {name: moves[name].moves["friction"][0] for name in ("force", "normal_load", "force_offset")}
-    assert by["force"] == pytest.approx(0.01 * six.values["friction"], rel=0.03)
+    assert by["force"] == pytest.approx(0.01 * six.values["friction"], rel=0.06)
     assert by["force"] == pytest.approx(-by["normal_load"], rel=0.03)
     assert by["force_offset"] == pytest.approx(0.01 * six.values["friction"], rel=0.5)
     own = six.covariance[1, 1] ** 0.5
@@ -286,7 +280,7 @@ def test_no_two_parameters_share_a_symbol():
 
 def remarks(result):
     """What the report says of the data, the model and what the fit holds for; without the refits of its rows."""
-    return " ".join([*_of_sigma(result), *_of_model(result), *_holds_for(result)])
+    return " ".join([*_of_sigma(result), *result.main.notes(result), *_of_model(result), *_holds_for(result)])
 
 
 @pytest.mark.ci

@@ -10,12 +10,14 @@ from scipy.stats import multivariate_normal
 
 import slippulse_jax as sp
 from benchmarks import sequence_coverage
-from slippulse_jax.inference.model.check import checked
-from slippulse_jax.inference.model.fronts import BlockSequence
-from slippulse_jax.inference.model.sequence import CONTACTS, GEOMETRY, SITES, UNITS, Cloud, Surface, followed
+from slippulse_jax.inference.model.emulator import Points, through
+from slippulse_jax.inference.model.models import model_of
+from slippulse_jax.inference.model.series import CONTACTS, GEOMETRY, SITES, BlockSeries, followed
+from slippulse_jax.inference.model.slider import FirstFront
+from slippulse_jax.inference.parameters import checked
 from slippulse_jax.inference.result.samples import simulated
 from slippulse_jax.inference.result.verdict import Identifiability
-from slippulse_jax.inference.search.clouds import _sized
+from slippulse_jax.inference.search.learning import check_model_error, model_error_of
 from slippulse_jax.inference.search.likelihood import make_problem
 from slippulse_jax.inference.table.columns import MeasurementError
 
@@ -70,7 +72,7 @@ def test_a_table_of_a_sequence(tmp_path):
     path = tmp_path / "sequence.csv"
     table.to_csv(path, index=False)
     m = sp.read_measurements(path)
-    assert m.is_sequence
+    assert model_of(m).event == "sequence"
     assert m.kind[-1] == "at_least"
     assert m.length[-1] == m.block_length[-1]
     np.testing.assert_allclose(m.force * m.unit_of_force[0], table.force_N)
@@ -137,7 +139,7 @@ def test_a_length_that_is_no_place_is_refused(row, kind, length):
     with pytest.raises(ValueError, match=rf"row {row}: .* mm, {kind}: a sequence has places"):
         sp.fit(wrong, BOTH)
     near = sp.Measurements.from_dataframe(table.assign(length_mm=np.where(table.spans == "yes", 89.5, table.length_mm)))
-    BlockSequence(near).check(near, {"friction"})
+    checked(near, BOTH)
 
 
 def test_rough_contacts_are_refused():
@@ -151,7 +153,7 @@ def test_ageing_is_refused_where_no_data_tell():
     near = table[table.length_mm < 0.44 * table.block_length_mm]
     with pytest.raises(ValueError, match=r"parameter newborn: the farthest place is 0.3\d* L"):
         sp.fit(near, [*BOTH, "newborn", "time_constant"])
-    with pytest.raises(ValueError, match="parameter newborn: of sequences"):
+    with pytest.raises(ValueError, match="parameter newborn: no part of the model"):
         sp.fit(sp.Measurements([20.0, 35.0], 0.3, [12.7, 24.6], 0.3), ["stiffness", "newborn"])
 
 
@@ -184,35 +186,39 @@ def test_series_followed_are_those_of_the_package(ageing, scatter):
     mean, spread = got.force_at(place, np.full(4, 0.02))[:, 0]
     assert (spread >= 0).all()
     assert (mean >= got.force[0, :n].min()).all()
-    length, force = got.first(1.5 / block.sites)
+    length, force = got.first(np.array([1.5 / block.sites]))
     jump = int(np.argmax(np.diff(far, prepend=0) > 1.5 / block.sites))
     assert (float(length[0]), float(force[0])) == pytest.approx((far[jump], got.force[0, jump]))
 
 
-def test_a_surface_is_smooth_and_knows_its_scatter():
+def test_an_emulator_is_smooth_and_knows_its_scatter():
     """Values without scatter; two that scatter together; and contacts of two sizes, continued to none."""
-    random, numbers = np.random.default_rng(3), np.tile(np.linspace(0.1, 0.2, len(UNITS)), (200, 1))
-    b, friction = random.uniform(-0.2, 0.2, 200), random.uniform(0.25, 0.35, 200)
-    at = len(GEOMETRY) + CONTACTS.index("log_b"), len(GEOMETRY) + CONTACTS.index("friction")
-    numbers[:, at[0]], numbers[:, at[1]] = b, friction
-    exact = 1 + b - 2 * np.log(friction) + 3 * b * np.log(friction) ** 2
+    random, place = np.random.default_rng(3), np.tile(np.linspace(0.1, 0.2, 4), (200, 1))
+    place[:, 1:3] = np.column_stack([random.uniform(-3.3, 3.3, 200), random.uniform(-8, -6, 200)])
+    x, y = 0.06 * place[:, 1], 0.15 * place[:, 2]
+    exact = 1 + x - 2 * y + 3 * x * y**2
     noise, coarse = 0.01 * random.standard_normal(200), np.where(np.arange(200) % 2, 0.004, 0.0005)
-    cloud = Cloud()
-    cloud.add(numbers, np.column_stack([exact, exact + noise, exact - 2 * noise + 5 * coarse]), coarse)
-    surface = Surface(cloud, np.arange(200), tuned=True)
-    value, near = surface(numbers)
-    np.testing.assert_allclose(value[:, 0], exact, atol=0.005)  # of 2 to 5
-    assert np.sqrt(np.mean((value[:, 2] - exact) ** 2)) < 0.01  # of scatter of 0.02
-    assert near.min() > 1
-    middle = numbers[0].copy()
-    middle[list(at)] = 0.0, 0.3
-    found = surface.covariance(middle)
-    assert np.sqrt(found[1, 1]) == pytest.approx(0.01, rel=0.25)
-    assert found[1, 2] / np.sqrt(found[1, 1] * found[2, 2]) < -0.9
-    assert np.sqrt(found[2, 2]) == pytest.approx(np.hypot(0.02, 0.25 * 5 * 0.0005), rel=0.25)
-    far = middle.copy()
-    far[at[0]] = 5.0
-    assert surface(far[None])[1] < 1e-3
+    values = np.column_stack([exact, exact + noise, exact - 2 * noise + 5 * coarse])
+    emulator = through(Points(np.zeros((200, 0)), place[None], values[None], coarse[None]), 250, tuned=True)
+    one = jax.tree.map(lambda column: column[0], emulator)
+    with jax.enable_x64(True):
+        mean, _, near = jax.vmap(one)(place)
+        np.testing.assert_allclose(mean[:, 0], exact, atol=0.01)  # of 2 to 5
+        assert np.sqrt(np.mean((mean[:, 2] - exact) ** 2)) < 0.01  # of scatter of 0.02
+        assert near.min() > 1
+        middle = np.array([place[0, 0], 0.0, -7.0, place[0, 3]])
+        found = np.asarray(one(middle).covariance)
+        assert np.sqrt(found[1, 1]) == pytest.approx(0.01, rel=0.25)
+        assert found[1, 2] / np.sqrt(found[1, 1] * found[2, 2]) < -0.9
+        assert np.sqrt(found[2, 2]) == pytest.approx(np.hypot(0.02, 0.25 * 5 * 0.0005), rel=0.25)
+        assert one(middle + np.array([0, 500.0, 0, 0])).near < 1e-3
+        # in every mode, and the second derivatives too
+        slope = jax.jacrev(lambda at: one(at).covariance)(middle)
+        np.testing.assert_allclose(slope, jax.jacfwd(lambda at: one(at).covariance)(middle), rtol=1e-6, atol=1e-12)
+        bend = jax.hessian(lambda at: one(at).mean)(middle)
+        step = 1e-4 * np.eye(4)[1]
+        by_steps = (one(middle + step).mean - 2 * one(middle).mean + one(middle - step).mean) / 1e-8
+        np.testing.assert_allclose(bend[:, 1, 1], by_steps, atol=1e-5)
 
 
 # --- fits -------------------------------------------------------------------------------------------------------------------
@@ -328,18 +334,17 @@ def test_thresholds_that_scatter():
     assert "threshold_scatter = 0.05" in held.report()
     assert "thresholds that scatter by 10 %" in held.report()
     loose = sp.fit(table, BOTH, model_error="fitted")
-    assert loose.parameters.front.model_error > 0.01
+    assert model_error_of(loose.problem) > 0.01
     assert loose.testable_dof is None
-    assert loose.deviance == pytest.approx(len(table) - 2, abs=1)
+    assert loose.misfit == pytest.approx(len(table) - 2, abs=1)
     assert "taken from how far the forces lie" in loose.report()
 
 
 def test_nothing_to_take_an_error_from():
     """As many data as parameters; and a bootstrap of rows that err together."""
     m = sp.Measurements.from_dataframe(table_of(0.8, 0.35)[3:5])
-    problem = make_problem(m, checked(m, BOTH), "normal", m.stated_sigma)
     with pytest.raises(ValueError, match="2 data for 2 fitted parameters leave nothing"):
-        _sized(problem, problem.parameters.low, problem.parameters.low[None])
+        check_model_error(make_problem(m, checked(m, BOTH)), "fitted")
 
 
 @pytest.mark.ci
@@ -347,47 +352,52 @@ def test_a_stated_error_of_the_model(places, tmp_path):
     """Widens intervals, is kept in a file, and has no meaning beside lengths."""
     wide = sp.fit(table_of(0.8, 0.35), BOTH, model_error=0.02)
     assert wide.stderrs["friction"] > 2 * places.stderrs["friction"]
-    assert wide.deviance < places.deviance
+    assert wide.misfit < places.misfit
     path = tmp_path / "fit.json"
     wide.save(path)
     again = sp.load_fit(path)
     assert again.report() == wide.report()
-    np.testing.assert_allclose(again.problem.lengths.whitening, wide.problem.lengths.whitening, rtol=1e-9)
+    own, other = (one.problem.covariance(wide.theta, one.problem.observed[0]) for one in (again, wide))
+    np.testing.assert_allclose(own, other, rtol=1e-6)
     with pytest.raises(ValueError, match="model_error: of forces of a sequence"):
         sp.fit(sp.Measurements([20.0, 35.0], 0.3, [12.7, 24.6], 0.3), model_error=0.01)
 
 
 def test_errors_of_neighbours_go_together(places):
-    """−ln p is that of a multivariate normal distribution, as SciPy has it; Fisher's information and draws likewise."""
+    """−ln p is that of a multivariate normal distribution of the covariance at each θ, as SciPy has it; so is information."""
     problem, theta = places.problem, places.theta
-    data = problem.lengths
-    covariance = np.linalg.inv(data.whitening.T @ data.whitening)
-    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), data.sigma, rtol=1e-9)
-    assert (covariance / np.outer(data.sigma, data.sigma))[-2, -1] > 0.1  # of one event, mostly
-    other = theta + np.array([0.02, -0.003])
-    normal = multivariate_normal(data.value[0], covariance)
-    density = [float(normal.logpdf(problem.predict(x)[0])) for x in (theta, other)]
-    assert density[0] - density[1] == pytest.approx(
-        float(problem(other[None]).value[0] - problem(theta[None]).value[0]), rel=1e-6
-    )
-    slope = problem._predictions(data, theta[None], 1)[1][0]
-    jacobian = problem.jacobian(theta)
-    np.testing.assert_allclose(jacobian.T @ jacobian, slope.T @ np.linalg.solve(covariance, slope), rtol=1e-6)
-    np.testing.assert_allclose(
-        problem(other[None], order=2).metric[0], problem.jacobian(other).T @ problem.jacobian(other), rtol=1e-6
-    )
+    (data,), other = problem.observed, theta + np.array([0.02, -0.003])
+
+    def spread(at):
+        return problem.covariance(at, data) + np.diag(data.sigma**2)
+
+    sigma = np.sqrt(np.diag(spread(theta)))
+    np.testing.assert_allclose(sigma, places.sigma, rtol=1e-9)
+    assert (spread(theta) / np.outer(sigma, sigma))[-2, -1] > 0.1  # of one event, mostly
+    density = [multivariate_normal(data.value[0], spread(at)).logpdf(problem.predict(at)[0]) for at in (theta, other)]
+    value = problem(np.array([theta, other])).value
+    assert density[0] - density[1] == pytest.approx(float(value[1] - value[0]), rel=1e-6)
+    step = 1e-5 * np.eye(2)
+    slope = np.stack([(problem.predict(other + h) - problem.predict(other - h))[0] / 2e-5 for h in step], axis=1)
+    bend = np.stack([(spread(other + h) - spread(other - h)) / 2e-5 for h in step])
+    inverse = np.linalg.inv(spread(other))
+    expected = slope.T @ inverse @ slope + np.einsum("aij,jk,bkl,li->ab", bend, inverse, bend, inverse) / 2
+    np.testing.assert_allclose(problem(other[None], order=1).metric[0], expected, rtol=1e-5)
+    jacobian = problem.jacobian(other)
+    np.testing.assert_allclose(jacobian.T @ jacobian, expected, rtol=1e-5)
     # a datum that is left out: the density of the others
-    left = problem.with_replicates([(data.value, np.arange(len(data.sigma))[None] != 9)], problem.prior_mean)
-    others = np.delete(np.arange(len(data.sigma)), 9)
-    off = (problem.predict(other)[0] - data.value[0])[others]
-    expected = off @ np.linalg.solve(covariance[np.ix_(others, others)], off) / 2
-    assert float(left(other[None]).value[0]) == pytest.approx(expected, rel=1e-6)
+    left = problem.with_replicates([(data.value, (np.arange(len(sigma))[None] != 9) * 1.0)], problem.prior_mean)
+    kept = np.arange(len(sigma)) != 9
+    alone = [
+        multivariate_normal(data.value[0][kept], spread(at)[np.ix_(kept, kept)]).logpdf(problem.predict(at)[0][kept])
+        for at in (theta, other)
+    ]
+    value = left(np.array([theta, other])).value
+    assert alone[0] - alone[1] == pytest.approx(float(value[1] - value[0]), rel=1e-6)
     with pytest.raises(ValueError, match="kind = 'case'"):
         places.bootstrap(10, kind="case")
-    drawn = simulated(places, 4000, np.random.default_rng(0)).lengths.value
-    np.testing.assert_allclose(
-        np.cov(drawn.T) / np.outer(data.sigma, data.sigma), covariance / np.outer(data.sigma, data.sigma), atol=0.1
-    )
+    drawn = simulated(places, 4000, np.random.default_rng(0)).observed[0].value
+    np.testing.assert_allclose(np.cov(drawn.T) / np.outer(sigma, sigma), spread(theta) / np.outer(sigma, sigma), atol=0.1)
 
 
 @pytest.mark.ci
@@ -418,11 +428,10 @@ def test_campaign(kind):
         assert shares[1] > 0.95 - 3 * 0.0218, name
 
 
-def test_the_front_is_chosen_by_the_table():
+def test_the_model_is_chosen_by_the_table():
     m = sp.Measurements.from_dataframe(table_of(0.8, 0.35))
-    front = BlockSequence(m)
-    assert front.event == "sequence"
-    assert not front.numbered
+    assert model_of(m) is BlockSeries
+    assert model_of(m, body="slider") is FirstFront
 
 
 @pytest.mark.ci

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 import slippulse_jax as sp
 from slippulse_jax.cli.fit import command
+from slippulse_jax.inference.model.models import model_of
 from slippulse_jax.inference.table.columns import COLUMNS
 from slippulse_jax.inference.table.measurements import MeasurementError, read_gauges
 
@@ -360,7 +361,7 @@ def test_the_template_of_sequences_is_one(tmp_path):
     assert done.stdout.isascii()
     assert "# spans: no, yes\n" in done.stdout
     found = read(tmp_path, done.stdout)
-    assert found.is_sequence
+    assert model_of(found).event == "sequence"
     assert (found.skipped, found.other) == ((), {})
     np.testing.assert_array_equal(found.event, [1, 2, 3])
     np.testing.assert_allclose(found.force / found.normal_load, [0.1604, 0.2018, 0.1766], rtol=1e-12)

@@ -80,7 +80,7 @@ def test_a_terminal_sees_a_fit_begin(monkeypatch):
         def isatty(self):
             return True
 
-    def look(*_):
+    def look(*_, **options):
         assert "fit (the first compiles): 0.00 lengths" in terminal.getvalue()
         raise InterruptedError
 

@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 from slippulse_jax import Measurements, Parameter, fit, plot, read_measurements
-from slippulse_jax.inference.model.fronts import FirstFront
 from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.model.slider import FirstFront
 from slippulse_jax.inference.result.verdict import Identifiability
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "fit_examples"

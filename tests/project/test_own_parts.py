@@ -13,7 +13,7 @@ import slippulse_jax as sp
 from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.response import of_matrix
 from slippulse_jax.events.first import Relaxed
-from slippulse_jax.inference.model.fronts import Front
+from slippulse_jax.inference.model.front import Front
 from slippulse_jax.inference.model.inputs import Input
 
 # --- a body ---------------------------------------------------------------------------------------------------------------

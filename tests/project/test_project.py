@@ -34,8 +34,8 @@ LAYERS = {
     "cli": 12,
 }  # fmt: skip
 WAY_OF_A_FIT = {
-    "choices": 0, "table": 1, "model": 2, "search": 3, "result": 4,
-    "fit": 5, "objective": 5, "knowledge": 5, "heterogeneous": 5, "mechanism": 6, "design": 6, "recover": 6,
+    "choices": 0, "table": 1, "model": 2, "observables": 3, "parameters": 4, "search": 5, "result": 6,
+    "fit": 7, "objective": 7, "knowledge": 7, "heterogeneous": 7, "mechanism": 8, "design": 8, "recover": 8,
 }  # fmt: skip
 """The same of the rooms of `inference`."""
 
@@ -78,7 +78,9 @@ def test_imports_run_downward(room, layers):
     assert seen > 20
 
 
-@pytest.mark.parametrize("room", ["blocks", "bodies", *(f"inference/{one}" for one in ("table", "model", "search", "result"))])
+@pytest.mark.parametrize(
+    "room", ["blocks", "bodies", *(f"inference/{one}" for one in ("table", "model", "observables", "search", "result"))]
+)
 def test_modules_are_listed_in_the_order_in_which_they_build_on_each_other(room):
     """What the page of a room says: each module once, below all that it imports."""
     listed = re.findall(r"^ *`(\w+)` {3}", (PACKAGE / room / "__init__.py").read_text("utf-8"), flags=re.M)

@@ -3,9 +3,11 @@
 Five of them every model takes; what only some take, as the height of a push, each names for itself.
 """
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -32,6 +34,23 @@ COMMON = {
     "threshold_slope": Input("ε", THRESHOLD_SLOPE.low, THRESHOLD_SLOPE.high, THRESHOLD_SLOPE.requirement, 5e-6),
 }
 """Inputs of every model."""
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class Linear:
+    """One number per measurement, linear in θ."""
+
+    base: np.ndarray  # (n,)
+    slope: np.ndarray  # (n, p)
+
+    def __call__(self, theta: Any) -> Any:
+        """Values at θ of shape (…, p); shape (…, n)."""
+        return self.base + theta @ self.slope.T
+
+    def __getitem__(self, rows: Any) -> "Linear":
+        """Select some measurements."""
+        return Linear(self.base[rows], self.slope[rows])
 
 
 class Inputs(NamedTuple):
@@ -111,3 +130,24 @@ class Inputs(NamedTuple):
     def ratio(self) -> Any:
         """k/K."""
         return np.exp(self.log_stiffness)
+
+    def stacked(self) -> "Stacked":
+        """Stack linear inputs to two arrays, for a smaller program."""
+        every = [self.get(name) for name in self.names]
+        return Stacked(
+            self.names, np.stack([one.base for one in every], axis=-1), np.stack([one.slope for one in every], axis=-1)
+        )
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class Stacked:
+    """Linear inputs as arrays."""
+
+    names: tuple[str, ...] = dataclasses.field(metadata={"static": True})
+    base: Any  # (n, inputs)
+    slope: Any  # (n, p, inputs)
+
+    def at(self, theta: Any) -> Inputs:
+        """Values at one θ, (p,); (n,) each."""
+        return Inputs.from_table(self.names, self.base + (theta[None, :, None] * self.slope).sum(axis=1))

@@ -16,8 +16,11 @@ from scipy.special import chdtrc, ndtri
 from slippulse_jax.base.shown import either, ends, format_number, plural
 from slippulse_jax.base.status import NotConverged
 from slippulse_jax.block import USUAL_NORMAL_STIFFNESS
-from slippulse_jax.inference.model.fronts import BlockEvent, BlockSequence, Front, front_for, front_of
-from slippulse_jax.inference.model.parameters import (
+from slippulse_jax.inference.model.block import BlockEvent
+from slippulse_jax.inference.model.emulator import Points
+from slippulse_jax.inference.model.front import IMPROBABLE, SCATTERED, Front
+from slippulse_jax.inference.model.models import front_for, front_of
+from slippulse_jax.inference.parameters import (
     HEIGHTS,
     MODEL_ERROR,
     PARAMETERS,
@@ -27,9 +30,9 @@ from slippulse_jax.inference.model.parameters import (
     parameter_set,
 )
 from slippulse_jax.inference.result.verdict import Identifiability
-from slippulse_jax.inference.search.clouds import gathered
 from slippulse_jax.inference.search.intervals import LEVELS, Interval, Intervals
-from slippulse_jax.inference.search.likelihood import IMPROBABLE, SCATTERED, Problem, make_problem
+from slippulse_jax.inference.search.learning import followed, learnt, model_error_of, single, with_model_error
+from slippulse_jax.inference.search.likelihood import Problem, make_problem
 from slippulse_jax.inference.search.minima import DevianceGrid, between_contacts, first_look, ordered, search
 from slippulse_jax.inference.search.minimise import minimise
 from slippulse_jax.inference.table.columns import COLUMNS, IN_LC
@@ -105,7 +108,7 @@ def find_changes(result: "FitResult") -> list[Change]:
     """List what would move the parameters, largest first."""
     if not result.moved:
         return []
-    if result.measurements.is_sequence:
+    if result.problem.emulates:
         every = [*_of_sequence(result)]
     else:
         every = [*_of_inputs(result), *_of_ends(result), *_of_bodies(result)]
@@ -146,42 +149,49 @@ def _scattered(wanted: Iterable[Parameter], scatter: float) -> list[Parameter]:
 def _followed_again(result: "FitResult", wanted: Sequence[Parameter]) -> tuple[Problem, np.ndarray, float]:
     """Fit sequences with other parameters: the problem, θ, and its deviance."""
     m, error = result.measurements, result.request.get("model_error")
-    problem = make_problem(m, parameter_set(m, wanted, BlockSequence(m)), result.problem.loss, m.stated_sigma)
-    problem = gathered(problem, result.request["seed"], None if error == "fitted" else error)
+    problem = make_problem(m, parameter_set(m, wanted, loss=result.problem.loss))
+    problem = with_model_error(problem, error) if isinstance(error, float | int) else problem
+    problem = learnt(problem, result.request["seed"])
     theta = first_look(problem, 0)
     return problem, theta, 2 * float(problem(theta[None]).value[0])
 
 
 def _shifted(result: "FitResult", changed: dict[str, list[Measurements]]) -> dict[str, dict[str, tuple[float, ...]]]:
-    """Moves by other tables, to first order.
+    """Moves by other tables: fits of data that differ by what these change.
 
-    What a table changes is the mean over series near the fit, each followed with it and without: one alone would differ by the
-    order of its breaks.
+    That is the mean over series near the fit, each followed with the table and without: one alone would differ by the order of
+    its breaks.
     """
-    problem, q = result.problem, result.parameters
-    jacobian = problem.jacobian(result.theta)
-    covariance = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-9, hermitian=True)
+    problem, q, at = result.problem, result.parameters, result.theta[None]
+    covariance = np.linalg.pinv(problem(at, order=1).metric[0], rcond=1e-9, hermitian=True)
     near = np.random.default_rng(0).multivariate_normal(result.theta, covariance, SERIES, method="eigh")
     near, moves = np.clip(near, q.low, q.high), {}
-    front = BlockSequence(result.measurements)
-    known = _off_data(problem, result.measurements, near, front)
+    still = _near(problem, result.measurements, near)
     for name, tables in changed.items():
-        every = [_off_data(problem, m, near, front if name in OF_DATA else BlockSequence(m)) - known for m in tables]
-        off = [np.nanmean(np.where(np.isfinite(one), one, np.nan), axis=0) for one in every]
-        white = problem.in_errors(np.nan_to_num(off))
-        by = np.pad(white, [(0, 0), (0, len(jacobian) - white.shape[1])]) @ -jacobian @ covariance
+        moved = []
+        for m in tables:
+            other = _near(problem, m, near, still.points if name in OF_DATA else None)
+            off = [a - b for a, b in zip(_off_data(other), _off_data(still), strict=True)]
+            shift = [np.nan_to_num(np.nanmean(np.where(np.isfinite(one), one, np.nan), axis=0)) for one in off]
+            # data that are lower by what predictions become higher
+            other = problem.with_replicates(
+                [(data.value - one, data.weight) for data, one in zip(problem.observed, shift, strict=True)], problem.prior_mean
+            )
+            moved.append(minimise(other, at, q.low, q.high, max_steps=MOST_STEPS).theta[0] - result.theta)
+        by = np.array(moved)
         moves[name] = {one: tuple(by[:, q.index(one)].tolist()) for one in result.moved}
     return moves
 
 
-def _off_data(problem: Problem, m: Measurements, theta: np.ndarray, front: BlockSequence) -> np.ndarray:
-    """How far single series at θ lie from these measurements."""
-    q = parameter_set(m, problem.parameters.wanted, front)
-    if not len(front.clouds[0].numbers):
-        front.continued = False  # what a change does hardly depends on the size of contacts
-        front.follow(q.inputs.at(theta))
-    other = make_problem(m, q, problem.loss, m.stated_sigma)
-    return other.predictions(theta) - np.concatenate([data.value[0] for data in other.observed])
+def _near(problem: Problem, m: Measurements, theta: np.ndarray, points: Points | None = None) -> Problem:
+    """The problem of other measurements, with series at θ, or those known."""
+    other = with_model_error(make_problem(m, parameter_set(m, problem.parameters.wanted)), model_error_of(problem))
+    return followed(other, theta) if points is None else dataclasses.replace(other, points=points)
+
+
+def _off_data(problem: Problem) -> list[np.ndarray]:
+    """Compare single series with the measurements, (t, n) by observable."""
+    return [found - data.value[0] for found, data in zip(single(problem)[1], problem.observed, strict=True)]
 
 
 def _size(change: Change, result: "FitResult") -> float:
@@ -237,7 +247,7 @@ def _allowed(result: "FitResult", name: str, error: float) -> np.ndarray:
 def _moves(result: "FitResult", m: Measurements) -> dict[str, tuple[float]]:
     """Moves of the parameters that have a value; NaN where nothing fits."""
     theta, deviance = _refitted(result, m)
-    dof, misfit = result.testable_dof, deviance - result.problem.perfect
+    dof, misfit = result.testable_dof, deviance - result.problem.perfect(theta)
     lost = not np.isfinite(deviance) or (dof is not None and chdtrc(dof, misfit) < IMPROBABLE)
     moved = np.full(len(theta), np.nan) if lost else theta - result.theta
     return {one: (float(moved[result.parameters.index(one)]),) for one in result.moved}
@@ -246,12 +256,16 @@ def _moves(result: "FitResult", m: Measurements) -> dict[str, tuple[float]]:
 def _refitted(result: "FitResult", m: Measurements) -> tuple[np.ndarray, float]:
     """θ and deviance of the first minimum nearby, for other measurements."""
     q = result.parameters
-    other = parameter_set(m, q.wanted, q.front)
     starts = np.array([result.theta, *(root.theta for root in result.minima)])
-    problem = make_problem(m, other, result.problem.loss, _sigma(result, m))
+    problem = _with_sigma(make_problem(m, parameter_set(m, q.wanted, q.front, result.problem.loss)), _sigma(result, m))
     found = search(problem, method="lm", max_steps=MOST_STEPS, seed=0, extra=starts)
     first = next(iter(ordered(problem, found.minima)), found)
     return first.theta, first.deviance
+
+
+def _with_sigma(problem: Problem, sigma: np.ndarray) -> Problem:
+    """The problem with other σ of its rows."""
+    return problem.changed(lambda data: data._replace(sigma=sigma[data.measurement]), of_rows=True)
 
 
 def _sigma(result: "FitResult", m: Measurements) -> np.ndarray:
@@ -284,8 +298,9 @@ def _again(
     for m in every:
         theta, fits = None, 0
         try:
-            changed = parameter_set(m, wanted or q.wanted, front or front_of(m, q.front.event, q.front.body))
-            problem = make_problem(m, changed, result.problem.loss, _sigma(result, m) if result.scaled else m.stated_sigma)
+            model = front or front_of(m, q.front.event, q.front.body)
+            problem = make_problem(m, changed := parameter_set(m, wanted or q.wanted, model, result.problem.loss))
+            problem = _with_sigma(problem, _sigma(result, m)) if result.scaled else problem
             between = None if result.scaled else between_contacts(problem, seed)
             if between is not None:
                 problem = problem.widened(between)
@@ -509,14 +524,14 @@ def suggestions(result: "FitResult") -> list[str]:
             f"state where the side is pushed, in columns push_height{unit} and push_width{unit}; a block is then fitted"
         )
     if dof and rejected and not steps:
-        larger = f"{np.sqrt(result.deviance / dof):.2g} times as large"
+        larger = f"{np.sqrt(result.misfit / dof):.2g} times as large"
         steps.append(f"σ would have to be {larger}; if it is a guess, take it from the scatter: {size_from_scatter(m)}")
     return steps
 
 
 def size_from_scatter(m: Measurements) -> str:
     """Option that takes the size of errors from the scatter."""
-    if m.is_sequence:
+    if "length" not in front_of(m).observes:
         return m.option("--model-error fitted", 'model_error="fitted"')
     return m.option("--sigma relative", 'sigma="relative"')
 
@@ -566,7 +581,7 @@ def _richer(result: "FitResult") -> Iterator[tuple[float, int, str]]:
         pattern = "the residuals of each specimen have one sign; " if one_sign else "the specimens may differ; "
         option = m.option("--each-specimen stiffness", _as_argument(each))
         yield *_with(result, each), f"{pattern}try one stiffness for each: {option}"
-    if m.is_sequence and not result.parameters.inputs.at(result.theta).get("threshold_scatter").any():
+    if result.problem.emulates and not result.parameters.inputs.at(result.theta).get("threshold_scatter").any():
         option = m.option(f"--fix threshold_scatter={SCATTER}", f'fixed={{"threshold_scatter": {SCATTER}}}')
         text = f"thresholds of real contacts scatter; try {100 * SCATTER:.0f} % from contact to contact: {option}"
         yield *_with(result, _scattered(wanted, SCATTER)), text
@@ -597,13 +612,13 @@ def _in_python(one: Parameter) -> str:
 def _with(result: "FitResult", wanted: list[Parameter]) -> tuple[float, int]:
     """Least deviance with these parameters, and how many more they are."""
     m, front = result.measurements, result.parameters.front
-    if m.is_sequence:
-        problem, _, deviance = _followed_again(result, wanted)
-        return deviance, problem.p - result.problem.p
-    q = parameter_set(m, wanted, front)
-    problem = make_problem(m, q, result.problem.loss, result.sigma)
-    value = minimise(problem, _starts(result, q), q.low, q.high, max_steps=MOST_STEPS).value
-    return 2 * float(value.min()), problem.p - result.problem.p
+    if result.problem.emulates:
+        problem, theta, deviance = _followed_again(result, wanted)
+        return deviance - problem.perfect(theta), problem.p - result.problem.p
+    q = parameter_set(m, wanted, front, result.problem.loss)
+    problem = _with_sigma(make_problem(m, q), result.sigma)
+    ends = minimise(problem, _starts(result, q), q.low, q.high, max_steps=MOST_STEPS)
+    return 2 * float(ends.value.min()) - problem.perfect(ends.theta[np.argmin(ends.value)]), problem.p - result.problem.p
 
 
 def _outliers(result: "FitResult") -> Iterator[tuple[float, int, str]]:
@@ -618,11 +633,11 @@ def _outliers(result: "FitResult") -> Iterator[tuple[float, int, str]]:
     without = problem.with_replicates(every, np.repeat(problem.prior_mean, count, axis=0))
     starts = _starts(result, q)
     lane = np.repeat(np.arange(count), len(starts))
-    value = minimise(without, np.tile(starts, (count, 1)), q.low, q.high, lane=lane, max_steps=MOST_STEPS).value
-    best = int(np.argmin(value))
-    less = "" if m.is_sequence else ", or let outliers count less: " + m.option("--loss student", 'loss="student"')
+    ends = minimise(without, np.tile(starts, (count, 1)), q.low, q.high, lane=lane, max_steps=MOST_STEPS)
+    best = int(np.argmin(ends.value))
+    less = "" if problem.emulates else ", or let outliers count less: " + m.option("--loss student", 'loss="student"')
     text = f"{m.place(int(suspects[lane[best]]))} is at odds with the others; check it{less}"
-    yield 2 * float(value[best]), 1, text
+    yield 2 * float(ends.value[best]) - without.perfect(ends.theta[best], int(lane[best])), 1, text
 
 
 def _offered(result: "FitResult", tried: Iterable[tuple[float, int, str]]) -> list[str]:
@@ -631,7 +646,7 @@ def _offered(result: "FitResult", tried: Iterable[tuple[float, int, str]]) -> li
     If that is accepted, or falls to a fifth per degree of freedom.
     """
     least = result.problem.improbable if (result.p_value or 0.0) < result.problem.improbable else SCATTERED
-    most, found = 0.2 * result.deviance / (result.testable_dof or 1), []
+    most, found = 0.2 * result.misfit / (result.testable_dof or 1), []
     for deviance, more, text in tried:
         dof = (result.testable_dof or 0) - more
         enough = least if more else IMPROBABLE  # where a scatter is held nothing more is fitted, and contacts are not alike

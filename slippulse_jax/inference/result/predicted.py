@@ -9,9 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
 from slippulse_jax.base.domains import real_numbers
-from slippulse_jax.inference.model.inputs import Inputs
-from slippulse_jax.inference.model.observables import predicted as of_observable
-from slippulse_jax.inference.model.parameters import Linear
+from slippulse_jax.inference.model.inputs import Inputs, Linear
 from slippulse_jax.inference.search.intervals import LEVELS
 
 if TYPE_CHECKING:
@@ -119,7 +117,7 @@ def curve(
 
     inputs = q.inputs.map(mean)
     inputs.get(INPUTS[along]).base[:] += np.log(heights) - np.log(at[rows]).mean()
-    scale, offset = (mean(q.scales[name]) for name in ("length", "offset"))
+    scale, offset = map(mean, q.of_lengths)
     return LengthCurve(result, result.theta if theta is None else theta, inputs, scale, offset)
 
 
@@ -130,6 +128,8 @@ def groups(result: "FitResult") -> tuple[Abscissa, list[np.ndarray]]:
     fitted, if every curve then has two heights, else in those stated.
     """
     q, m, along = result.parameters, result.measurements, "height"
+    if (run := result.main.runs(m)) is not None:
+        return along, [np.flatnonzero(run == i) for i in np.unique(run)]
     if m.push_height is not None and q.front.body == "block":
         along = min(INPUTS, key=lambda one: len(alike(result, result.theta, one)))
     found = alike(result, result.theta, along)
@@ -171,11 +171,12 @@ def field(result: "FitResult", row: int, observable: str, position: ArrayLike) -
     """
     q, contact = result.parameters, result.measurements.correlation_length
     x = np.atleast_1d(real_numbers("position", position, "m"))
-    read = next((data for data in result.problem.observed if data.observable == observable), None)
+    read = next((data for data in result.problem.observed if data.observable.name == observable), None)
     if read is None or contact is None or row not in read.measurement:
         raise ValueError(f"no gauge read {observable} in measurement {row}")
     datum = np.flatnonzero(read.measurement == row)[0]
     inputs = read.inputs.at(result.theta).take(np.full(len(x), read.rows[datum]))
-    true_contact, unit = (np.exp(q.scales[name](result.theta)[row]) for name in ("position", observable))
+    true_contact = np.exp(q.linear(np.zeros(len(contact)), {"correlation_length": 1})(result.theta)[row])
     place = np.log(np.maximum(x / (contact[row] * true_contact), 1e-9))
-    return of_observable(observable, q.front, inputs.given(log_position=place))[0] * unit
+    found = read.observable.evaluate(q.front, inputs.given(log_position=place))[0]
+    return found * np.exp(read.scale(result.theta)[datum])

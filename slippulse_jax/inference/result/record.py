@@ -17,11 +17,12 @@ import numpy as np
 from slippulse_jax.base.files import file_name, plain, read_whole, shortened
 from slippulse_jax.base.status import Outcome
 from slippulse_jax.inference.choices import Loss
-from slippulse_jax.inference.model.check import checked
-from slippulse_jax.inference.model.fronts import Front
-from slippulse_jax.inference.model.parameters import Parameter, with_errors_of_measuring
+from slippulse_jax.inference.model.emulator import Points, through
+from slippulse_jax.inference.model.front import Front
+from slippulse_jax.inference.model.models import front_of
+from slippulse_jax.inference.parameters import Parameter, checked, with_errors_of_measuring
 from slippulse_jax.inference.result.changes import Change
-from slippulse_jax.inference.search.clouds import gathered
+from slippulse_jax.inference.search.learning import model_error_of, with_model_error
 from slippulse_jax.inference.search.likelihood import make_problem
 from slippulse_jax.inference.table.columns import GAUGE_COLUMNS, NUMERIC
 from slippulse_jax.inference.table.measurements import Gauges, Measurements
@@ -144,7 +145,12 @@ def to_dict(result: "FitResult") -> dict[str, Any]:
             "block_length_over_height": result.block_length_over_height,
         },
     }
+    problem, learnt = result.problem, {}
+    if (emulator := problem.emulator) is not None:
+        learnt = {"points": problem.points, "known": problem.known, "model_error": model_error_of(problem)}
+        learnt |= {"count": emulator.place.shape[1], "reach": emulator.reach, "scatter": emulator.scatter}
     after = {
+        "learnt": encode(learnt) or None,
         "changes": encode(result.changes),
         "next_steps": result.next_steps,
         "data_sha256": data_hash(result.measurements),
@@ -163,11 +169,19 @@ def of_dict(kind: type[Record], content: dict[str, Any]) -> tuple[Record, dict[s
         raise ValueError(f"loss = {request['loss']!r}, which this version does not have: repeat the fit with another")
     m = decode(Measurements, content["measurements"])
     size_known = m.length_sigma is not None and request["sigma"] == "absolute"
-    wanted = with_errors_of_measuring(m, request["free"], size_known=size_known)
-    q = checked(m, wanted, request["event"], request["body"])
-    problem = make_problem(m, q, request["loss"], m.stated_sigma)
-    if m.is_sequence:  # surfaces as they were
-        problem = dataclasses.replace(gathered(problem, request["seed"], request.get("model_error")), parameters=q)
+    front = front_of(m, request["event"], request["body"])
+    wanted = with_errors_of_measuring(m, request["free"], front, size_known=size_known)
+    q = checked(m, wanted, front, loss=request["loss"])
+    problem = make_problem(m, q)
+    if learnt := content.get("learnt"):
+        points, like = (
+            decode(Points, learnt["points"]),
+            (decode(np.ndarray, learnt["reach"]), decode(np.ndarray, learnt["scatter"])),
+        )
+        problem = with_model_error(problem, learnt["model_error"])
+        problem = dataclasses.replace(
+            problem, points=points, emulator=through(points, learnt["count"], like=like), known=learnt["known"]
+        )
     if content.get("between_contacts") is not None:
         problem = problem.widened(np.array(content["between_contacts"], dtype=float))
     if content.get("scatter") is not None:
@@ -202,20 +216,24 @@ def to_dataframe(result: "FitResult") -> "pd.DataFrame":
     m = result.measurements
     scale, unit = m.unit
     unit = f"_{unit}" * m.in_si
-    text = {"line": m.lines, "row": m.rows, "label": m.label, "specimen": m.specimen, "kind": m.kind}
-    lengths = {
-        "height": m.height,
-        "push_height": m.push_height,
-        "length": m.length,
-        "length_sigma": result.sigma,
-        "length_fitted": result.fitted,
-        "length_attainable": result.attainable,
-    }
-    return pd.DataFrame(
-        {name: list(column) for name, column in text.items() if column}
-        | {name + unit: x * scale for name, x in lengths.items() if x is not None}
-        | {"residual": result.residuals, "outcome": [Outcome(int(status)).name.lower() for status in result.front_status]}
-    )
+    text = {"line": m.lines, "row": m.rows, "label": m.label, "specimen": m.specimen, "sequence": m.sequence, "kind": m.kind}
+    lengths = {"height": m.height, "push_height": m.push_height, "length": m.length}
+    found = {name + unit: x * scale for name, x in lengths.items() if x is not None}
+    for one in result.data:
+        if len(set(one.measurement.tolist())) < len(one.measurement):
+            continue  # several readings of one precursor
+        kind = result.observable(one.observable)
+        value, sigma, fitted, own = kind.shown(m, one)
+        own, quantity = own.replace("/", "_per_"), kind.framed or kind.column.quantity
+        own = f"_{own}" * (bool(own) and (m.in_si or own != "λc"))
+        columns = {f"{quantity}{own}": value, f"{quantity}_sigma{own}": sigma, f"{quantity}_fitted{own}": fitted}
+        for name, x in (columns | {f"{quantity}_residual": one.residuals}).items():
+            name = name if not kind.of_rows else name.replace(f"{quantity}_residual", "residual")
+            found.setdefault(name, np.full(len(m), np.nan))[one.measurement] = x
+    if np.isfinite(result.attainable).any():
+        found[f"length_attainable{unit}"] = result.attainable * scale
+    outcome = [Outcome(int(status)).name.lower() for status in result.front_status]
+    return pd.DataFrame({name: list(column) for name, column in text.items() if column} | found | {"outcome": outcome})
 
 
 def data_hash(m: Measurements) -> str:
@@ -229,7 +247,7 @@ def data_hash(m: Measurements) -> str:
             column = getattr(table, name)
             if column is not None:
                 digest.update(name.encode() + b"=" + np.ascontiguousarray(column, "<f8").tobytes())
-    since = [name for name in ("contact_law", "top") if getattr(m, name)]  # as in the hashes of tables without them
+    since = [name for name in ("contact_law", "top", "sequence") if getattr(m, name)]  # as in the hashes of tables without them
     for name in ("kind", "push_control", "specimen", "provenance", *since):
         digest.update(json.dumps([name, *getattr(m, name)]).encode())
     return digest.hexdigest()

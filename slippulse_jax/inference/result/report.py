@@ -14,8 +14,8 @@ from scipy.special import ndtr
 
 from slippulse_jax.base.shown import AS_GIVEN, TIED, ends, format_number, html, interval, listed, plural, value_with_error
 from slippulse_jax.block import USUAL_NORMAL_STIFFNESS
-from slippulse_jax.inference.model.fronts import ENDED, BlockSequence
-from slippulse_jax.inference.model.parameters import OF_MEASURING, STIFFNESSES, Free
+from slippulse_jax.inference.model.front import ENDED, SCATTERED
+from slippulse_jax.inference.parameters import OF_MEASURING, STIFFNESSES, Free
 from slippulse_jax.inference.result.changes import (
     END,
     MANY,
@@ -37,9 +37,8 @@ from slippulse_jax.inference.result.verdict import (
     whole_events,
 )
 from slippulse_jax.inference.search.intervals import LEVELS, Interval, Intervals
-from slippulse_jax.inference.search.likelihood import SCATTERED
 from slippulse_jax.inference.search.minima import SLACK
-from slippulse_jax.inference.table.columns import COLUMNS, READINGS, UNITS_OF_LENGTH
+from slippulse_jax.inference.table.columns import COLUMNS, UNITS_OF_LENGTH
 from slippulse_jax.inference.table.measurements import Measurements
 from slippulse_jax.theory import length_ceiling, rebreaking_b
 
@@ -61,6 +60,8 @@ CONSTANTS = {
     "friction": ("μ", 1.0, ""),
 }
 """Constants of the material by column: symbol, factor and unit with which papers state them."""
+FEW = 3
+"""Data of one observable that are shown one by one."""
 MOST_VALUES = 4
 """Most values in the title of a picture."""
 CORRELATED, MOST_CORRELATIONS = 0.5, 5
@@ -88,8 +89,8 @@ def report(result: "FitResult", *, verbose: bool = False) -> str:
         [f"┌{'─' * (width + 2)}┐", *(f"│ {line:{width}s} │" for line in box), f"└{'─' * (width + 2)}┘"],
         _roots(result, shown),
         _moving(result, shown),
-        _table(result),
-        _further(result),
+        _aligned(result.main.table(result), str.rjust),
+        [*_further(result)],
         *([head, *(f"  - {_prose(line)[:-1]}" for line in lines)] if lines else [] for head, lines in lists.items()),
         _details(result, shown) if verbose else [],
     ]
@@ -101,9 +102,8 @@ def methods(result: "FitResult") -> str:
     m, q, shown = result.measurements, result.parameters, _with_totals(result)
     scale, unit = m.unit
     heights = ("a height of " if np.ptp(m.height * scale) == 0 else "heights of ") + ends(m.height * scale, AS_GIVEN)
-    what = "a sequence of" if m.is_sequence else "first"
     how = f"by maximum likelihood (slippulse_jax {version('slippulse_jax')})"
-    said = [f"We fitted {_data(result)} of {what} precursors at {heights} {unit} {how}.", _model(result)]
+    said = [f"We fitted {_data(result)} of {q.front.measured} at {heights} {unit} {how}.", _model(result)]
     fits = ""
     if result.p_value is not None:
         sign, tested = "χ²" if result.problem.plain else "deviance", result.problem.tested(result.p_value, result.testable_dof)
@@ -152,15 +152,11 @@ def _model(result: "FitResult") -> str:
 
 def _data(result: "FitResult") -> str:
     """``6 lengths``, ``2 counts and 16 readings``."""
-    kinds = {*result.problem.lengths.kind}
-    if result.measurements.is_sequence:
-        first = [plural(len(one.value), "first length") for one in result.further]
-        return listed([plural(len(result.measurements), "force"), *first])
-    counts = {"length" if kinds == {"length"} else "count" if kinds == {"whole"} else "measurement": len(result.measurements)}
-    for one in result.further:
-        kind = "reading" if one.observable in READINGS else one.observable
-        counts[kind] = counts.get(kind, 0) + len(one.value)
-    return listed([plural(count, kind) for kind, count in counts.items()])
+    counts: dict[str, int] = {}
+    for one in result.data:
+        noun = result.observable(one.observable).noun
+        counts[noun] = counts.get(noun, 0) + len(one.value)
+    return listed([plural(count, noun) for noun, count in counts.items()])
 
 
 def _held(result: "FitResult") -> list[str]:
@@ -175,13 +171,11 @@ def _beside(result: "FitResult") -> list[Free]:
 def _alone(result: "FitResult") -> str:
     """State what the errors without those of inputs come from."""
     beside = {one.name for one in _beside(result)}
-    other = sorted({"readings" if one.observable in READINGS else one.observable for one in result.further})
+    rows = result.main.rows_are
+    other = sorted({result.observable(one.observable).several for one in result.further})
     other += ["priors"] * any(math.isfinite(one.prior_sigma) for one in result.parameters.free if not one.nuisance)
     other += ["stated errors"] * bool(beside - {*OF_MEASURING}) + ["shared errors"] * bool(beside & {*OF_MEASURING})
-    if result.measurements.is_sequence:
-        other = ["first length" if one == "first" else one for one in other]
-        return f"from {listed(['forces', *other])} only" if other else "from the forces only"
-    return f"from {listed(['lengths', *other])} only" if other else "from the lengths only"
+    return f"from {listed([rows, *other])} only" if other else f"from the {rows} only"
 
 
 # --- parameters as they are shown -----------------------------------------------------------------------------------------
@@ -322,7 +316,7 @@ def html_of(result: "FitResult") -> str:
         *(f"{level}, {alone}" for level in levels),
         "unit",
     )
-    below = [result.reason, f"{plural(len(m), 'length')} of {m.source}", _quality(result), "report() says more"]
+    below = [result.reason, f"{_data(result)} of {m.source}", _quality(result), "report() says more"]
     return html(f"Result: {result.identifiability.value}", rows, heads, "; ".join(text for text in below if text))
 
 
@@ -427,8 +421,7 @@ def _holds_for(result: "FitResult") -> Iterator[str]:
                 f"guessed: k_n/k = {USUAL_NORMAL_STIFFNESS:g}, as no normal_stiffness is stated; at {NORMAL[0]:g} or "
                 f"{NORMAL[1]:g} {would if factors else 'no stiffness fits'}"
             )
-    if m.is_sequence and m.push_width is None:
-        yield f"guessed: the pusher covers the whole side above the push, as no push_width{f'_{unit}' * m.in_si} is stated"
+    yield from (f"guessed: {guess}" for guess in q.front.guesses(m))
     if q.held:
         yield "held: " + ", ".join(_held(result))
 
@@ -465,10 +458,10 @@ def _quality(result: "FitResult") -> str:
     if result.p_value is None and result.dof > 0:
         fits += f", with {degrees} of freedom"
     elif result.p_value is None:
-        one = f"one {'force' if m.is_sequence else 'length'} cannot test the model"
+        one = f"one {result.main.noun} cannot test the model"
         why = one if len(m) == 1 else "the model cannot be tested"
         fits += f" with no degree of freedom, so {why}"
-    enlarged = m.is_sequence or result.between_contacts is not None
+    enlarged = problem.emulates or result.between_contacts is not None
     used = ", with σ enlarged (see the remarks)" if enlarged else ", with σ as given"
     return f"{data}{used * bool((m.stated_sigma > 0).any())}; {fits}"
 
@@ -608,70 +601,24 @@ def _move(result: "FitResult", shown: dict[str, Shown], change: Change, name: st
     return text[1:] if text[1:] == "0.0 %" else text
 
 
-def _table(result: "FitResult") -> list[str]:
-    """Tabulate the lengths: measured with the σ used, fitted, misfit."""
-    m, (scale, unit), (counted, numbers) = result.measurements, result.measurements.unit, result.measurements.numbered
-    known = result.identifiability is not Identifiability.NO_SCATTER  # whether σ has a size
-    if m.is_sequence:
-        return _table_of_sequence(result)
-    several, push = len(set(m.specimen)) > 1, m.push_height if result.parameters.front.body == "block" else None
-    height = f"H/{unit}" if push is None else f"H, push/{unit}"
-    rows = [[counted + ", specimen" * several, height, f"measured/{unit}", f"fitted/{unit}", "(fit-meas)/σ"]]
-    for i, number in enumerate(numbers):
-        sigma, off = result.sigma[i] * scale[i] * known, f"{result.residuals[i]:+.2f}".replace("-0.00", "+0.00")
-        if m.kind[i] != "length" and result.residuals[i] == 0:
-            off = "holds"  # a count or a front without arrest
-        elif not result.sigma[i] > 0:
-            off = f"off by {off} λc"
-        error = f" ± {float(f'{sigma:.2g}'):g}" if sigma > 0 else ""
-        length = f"{m.length[i] * scale[i]:.5g}{error}"
-        if m.kind[i] == "whole":
-            length = f"{length} ({m.length[i]:g} contacts)" if m.in_si else f"{m.length[i]:g}{error} contacts"
-        rows.append(
-            [
-                f"{number} {m.specimen[i]}" if several else str(number),
-                f"{m.height[i] * scale[i]:.6g}" + ("" if push is None else f", {push[i] * scale[i]:.4g}"),
-                "> " * (m.kind[i] == "at_least") + length,
-                f"{result.fitted[i] * scale[i]:.5g}",
-                off,
-            ]
-        )
-    return _aligned(rows, str.rjust)
+def _further(result: "FitResult") -> Iterator[str]:
+    """Summarise the data beside the rows.
 
-
-def _table_of_sequence(result: "FitResult") -> list[str]:
-    """Tabulate places, and the forces at which the front first reached them."""
-    m, (scale, unit), (counted, numbers) = result.measurements, result.measurements.unit, result.measurements.numbered
-    (size, newton), named = m.unit_of_force, bool(m.sequence)
-    rows = [[counted + ", sequence" * named, f"reached/{unit}", f"force/{newton}", f"fitted/{newton}", "(fit-meas)/σ"]]
-    for i, number in enumerate(numbers):
-        spans = " (spans)" * (m.kind[i] == "at_least")
-        rows.append(
-            [
-                f"{number} {m.sequence[i]}" if named else str(number),
-                f"{m.length[i] * scale[i]:.4g}{spans}",
-                f"{result.problem.lengths.value[0, i] * size[i]:.5g} ± {float(f'{result.sigma[i] * size[i]:.2g}'):g}",
-                f"{result.fitted[i] * size[i]:.5g}",
-                f"{result.residuals[i]:+.2f}".replace("-0.00", "+0.00"),
-            ]
-        )
+    Each of few, else their number, fit and the worst.
+    """
+    if result.further:
+        yield "Other data"
     for one in result.further:
-        for value, sigma, fitted, off in zip(one.value, one.sigma, one.fitted, one.residuals, strict=True):
-            ends_at = m.block_length[0] * scale[0] if m.block_length is not None else 1.0
-            first, error = (float(f"{x:.4g}") for x in (np.exp(value) * ends_at, np.exp(value) * ends_at * sigma))
-            rows.append(["first length", f"{first:g} ± {float(f'{error:.2g}'):g}", "", f"{np.exp(fitted) * ends_at:.4g} {unit}",
-                         f"{off:+.2f}"])  # fmt: skip
-    return _aligned(rows, str.rjust)
-
-
-def _further(result: "FitResult") -> list[str]:
-    """Summarise the data other than lengths: number, fit, and the worst."""
-    rows = ["Other data"] * bool(result.further and not result.measurements.is_sequence)
-    for one in () if result.measurements.is_sequence else result.further:
-        off, worst = one.residuals, int(np.argmax(np.abs(one.residuals)))
+        noun, off, m = result.observable(one.observable).named, one.residuals, result.measurements
+        if len(off) <= FEW:
+            value, sigma, fitted, unit = result.observable(one.observable).shown(m, one)
+            for i, place in enumerate(one.places):
+                read = value_with_error(value[i], sigma[i])
+                yield f"  {noun:12s} {read} {unit}, fitted {fitted[i]:.4g} {unit}; {place}: (fit-meas)/σ = {off[i]:+.2f}"
+            continue
+        worst = int(np.argmax(np.abs(off)))
         fitted = f"{plural(len(off), 'reading')}, chi-squared {format_number((off**2).sum(), 3)}"
-        rows.append(f"  {one.observable:12s} {fitted}; worst at {one.places[worst]}: (fit-meas)/σ = {off[worst]:+.2f}")
-    return rows
+        yield f"  {noun:12s} {fitted}; worst at {one.places[worst]}: (fit-meas)/σ = {off[worst]:+.2f}"
 
 
 # --- details --------------------------------------------------------------------------------------------------------------
@@ -712,7 +659,7 @@ def _details(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
     rows += [f"  correlations above {CORRELATED:g}:"] * bool(strong)
     rows += [f"    C({shown[a].symbol}, {shown[b].symbol}) = {value:+.3f}" for (a, b), value in strong[:MOST_CORRELATIONS]]
     rows += [f"  {line}" for line in _regime(result)]
-    if m.is_sequence:
+    if "length" not in q.front.observes:
         return rows
     rows += ["  broken contacts, and the longest length attainable at any stiffness searched:"]
     for i, broken in enumerate(result.contacts_broken):
@@ -766,7 +713,7 @@ def notes(result: "FitResult") -> list[str]:
     """Remarks to read before using the numbers, most about the data."""
     shown = _shown(result, {})
     first = *_of_data(result, shown), *_of_sigma(result), *_of_pulls(result, shown), *_of_shape(result, shown)
-    return [*first, *result.suspicions, *_of_attainable(result), *_of_model(result)]
+    return [*first, *result.suspicions, *_of_attainable(result), *result.main.notes(result), *_of_model(result)]
 
 
 def _of_data(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
@@ -811,9 +758,7 @@ def _of_data(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
 
 def _of_sigma(result: "FitResult") -> Iterator[str]:
     m = result.measurements
-    if m.length_sigma is None and m.is_sequence:
-        yield "no standard errors of lengths were given: places count as exact, and no first length is fitted"
-    elif m.length_sigma is None:
+    if m.length_sigma is None and "length" in result.parameters.front.observes:
         yield "no standard errors were given; equal ones are assumed, as large as the scatter about the fit"
     elif result.scaled:
         yield f"the stated σ are taken as relative, and scaled by {result.scatter:.3g} to the scatter about the fit"
@@ -905,28 +850,11 @@ def _of_model(result: "FitResult") -> Iterator[str]:
     Its search, the definition of a length, the edge contact, or the end of a block.
     """
     m, front = result.measurements, result.parameters.front
-    if isinstance(front, BlockSequence):
-        of_model = f"; it also contains {front.model_error:.2g} μF_N for what the model leaves out" if front.model_error else ""
-        taken = ", taken from how far the forces lie from the fit" if front.error_is_fitted else ""
-        if result.request.get("model_error") == "fitted" and not front.error_is_fitted:
-            taken = ", the largest that is taken from data, and not enough"
-        yield (
-            "σ of every force contains the error of its place, and the spread of single series about their trend"
-            f"{of_model}{taken}; neighbours err together, so χ² is not the sum of these squares"
-        )
-        yield from _of_events(m, front)
-        known = {one.name for one in result.parameters.free} | {*result.parameters.held}
-        left_out = ["compliant machine (column machine_stiffness)"] * (m.machine_stiffness is None)
-        left_out += ["ageing contacts (newborn, time_constant)"] * ("newborn" not in known)
-        yield from [f"not included: {', '.join(left_out)}"] * bool(left_out)
-        if "newborn" in known and "time_constant" not in known:
-            yield "assumed: contacts age over τ = 1 u_s, as time_constant is neither fitted nor held"
-        return
     if front.event == "domino" and result.fitted.max() >= MOST_CONTACTS:
         yield f"not included: block end, compliant machine; fronts of more than {MOST_CONTACTS:g} contacts take long"
-    if front.body == "block":
-        end, force = "block end, " * (m.block_length is None), ", force control" * (not m.push_control)
-        yield f"not included: {end}compliant machine{force}"
+    known = {one.name for one in result.parameters.free} | {*result.parameters.held}
+    if left_out := front.left_out(m, known):
+        yield f"not included: {', '.join(left_out)}"
     if result.between_contacts is not None:
         i = int(np.argmax(result.between_contacts))
         off = m.in_its_unit(i, float(f"{result.between_contacts[i]:.2g}"))
@@ -941,18 +869,3 @@ def _of_model(result: "FitResult") -> Iterator[str]:
             f"{int(short.sum())} of {len(m)} blocks are shorter than {END:g}/κ₂ (the shortest {np.nanmin(ratio):.2g}/κ₂); the "
             "lengths depend on the far end, taken to be free"
         )
-
-
-def _of_events(m: Measurements, front: BlockSequence) -> Iterator[str]:
-    """Say where numbers of events are not those of a whole record."""
-    for group in range(len(front.clouds)) if m.event is not None else ():
-        rows = np.flatnonzero(front.group == group)
-        event, order = m.or_zero("event")[rows], rows[np.argsort(m.or_zero("event")[rows])]
-        named = f" of sequence {m.sequence[rows[0]]}" if m.sequence else ""
-        if event.min() > 1 and (front.error[rows] > 0).any():
-            yield f"there is no event 1{named}: its first length is not known, and not fitted"
-        if (np.diff(event) < 0).any():
-            yield f"events{named} are taken in the order of their numbers, which is not that of the table"
-        before = np.maximum.accumulate(m.length[order])[:-1]
-        for i in order[1:][m.length[order][1:] <= before]:
-            yield f"{m.place(i)}: event {m.or_zero('event')[i]:g} gets no farther than one before, and is no record"

@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slippulse_jax.base.files import write_atomically
-from slippulse_jax.inference.model.fronts import Regime
-from slippulse_jax.inference.model.parameters import STIFFNESSES, ParameterSet
+from slippulse_jax.inference.model.front import Regime
+from slippulse_jax.inference.observables import Observable
+from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet
 from slippulse_jax.inference.result import predicted, record, samples
 from slippulse_jax.inference.result import report as printer
 from slippulse_jax.inference.result.changes import find_changes, suggestions, total, total_intervals, total_of_ratio
@@ -19,23 +20,22 @@ from slippulse_jax.inference.result.verdict import GIVEN, GRAVITY, Identifiabili
 from slippulse_jax.inference.search.intervals import LEVELS, Interval, Intervals, rise_of
 from slippulse_jax.inference.search.likelihood import Problem
 from slippulse_jax.inference.search.minima import Curve, Root, describe
-from slippulse_jax.inference.table.columns import READINGS
 from slippulse_jax.inference.table.measurements import Measurements
 
 
-class Further(NamedTuple):
-    """One further observable at the best fit, per datum; in SI."""
+class Compared(NamedTuple):
+    """Data of one observable beside the fitted model.
+
+    In λc, or SI.
+    """
 
     observable: str
     value: np.ndarray
-    sigma: np.ndarray
+    sigma: np.ndarray  # with what the model leaves open
     fitted: np.ndarray
+    residuals: np.ndarray  # (fitted − measured)/σ; of counts and limits what lies outside
     places: list[str]  # where each was measured, for messages
-
-    @property
-    def residuals(self) -> np.ndarray:
-        """(fitted − measured)/σ."""
-        return (self.fitted - self.value) / self.sigma
+    measurement: np.ndarray  # which measurement each belongs to
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -161,13 +161,65 @@ class FitResult:
         """Whether the size of the errors was taken from the scatter."""
         return self.scatter is not None
 
+    @functools.cached_property
+    def data(self) -> list[Compared]:
+        """Data of every observable, and the model's values for them."""
+        m, found = self.measurements, []
+        for data in self.problem.observed:
+            kind, open_ = data.observable, np.diag(self.problem.covariance(self.theta, data))
+            fitted, sigma = self.problem.predicted(self.theta, data)[0], np.sqrt(data.sigma**2 + open_)
+            residuals = kind.outside(fitted - data.value[0]) / np.where(sigma > 0, sigma, 1)
+            places = kind.places(m, data)
+            found.append(Compared(kind.name, data.value[0], sigma, fitted, residuals, places, data.measurement))
+        return found
+
+    @property
+    def main(self) -> Observable:
+        """What the rows of the table are about."""
+        return self.problem.observed[0].observable
+
+    def observable(self, name: str) -> Observable:
+        """The observable of this name."""
+        return next(data.observable for data in self.problem.observed if data.observable.name == name)
+
+    @property
+    def further(self) -> list[Compared]:
+        """Data other than what the rows of the table are about."""
+        return [one for one, data in zip(self.data, self.problem.observed, strict=True) if not data.observable.of_rows]
+
+    def _by_row(self, name: str) -> np.ndarray:
+        found = np.full(len(self.measurements), np.nan)
+        for one, data in zip(self.data, self.problem.observed, strict=True):
+            if data.observable.of_rows:
+                found[data.measurement] = getattr(one, name)
+        return found
+
     @property
     def sigma(self) -> np.ndarray:
-        """Standard error of each length that was used, in λc; (n,).
+        """Standard error of each row that was used, (n,).
 
-        As stated, or scaled to the scatter; with `between_contacts` added in quadrature. 0 for counts without an error.
+        Of lengths in λc, of forces of a sequence in N/m.
+
+        As stated, or scaled to the scatter; with `between_contacts`, or what the model leaves open, in quadrature. 0 for counts
+        without an error.
         """
-        return self.problem.lengths.sigma
+        return self._by_row("sigma")
+
+    @property
+    def fitted(self) -> np.ndarray:
+        """Fitted value of each row, (n,).
+
+        Lengths with model factor and offset, in stated λc; or forces of a sequence in N/m.
+        """
+        return self._by_row("fitted")
+
+    @property
+    def residuals(self) -> np.ndarray:
+        """(fitted − measured)/σ of each row, (n,).
+
+        For counts and fronts without arrest what lies outside, else 0.
+        """
+        return self._by_row("residuals")
 
     @property
     def stderrs(self) -> dict[str, float | None]:
@@ -216,27 +268,18 @@ class FitResult:
         return found
 
     @functools.cached_property
-    def fitted(self) -> np.ndarray:
-        """Fitted lengths with model factor and offset, in stated λc; (n,)."""
-        return self.problem.predict(self.theta)[0]
-
-    @functools.cached_property
     def contacts_broken(self) -> np.ndarray:
         """Whole contacts that each front breaks.
 
         Of sequences those up to the place measured; of others without model factor and offset, which belong to the
         measurement. −1 where it never stops; shape (n,).
         """
-        if self.measurements.is_sequence:
-            return np.ceil(self.measurements.length).astype(int)
-        front = self.parameters.front.lengths(self.parameters.inputs.at(self.theta))
-        stops = np.isfinite(front)
-        return np.where(stops, np.maximum(np.ceil(np.where(stops, front, 0)), 1), -1).astype(int)
+        return self.parameters.front.contacts_broken(self.measurements, self.parameters.inputs.at(self.theta))
 
     @functools.cached_property
     def front_status(self) -> np.ndarray:
-        """`Outcome` of each front at the best fit, shape (n,)."""
-        return self.parameters.front.status(self.parameters.inputs.at(self.theta))
+        """`Outcome` of each front as fitted, or event as measured; (n,)."""
+        return self.parameters.front.outcomes(self.measurements, self.parameters.inputs.at(self.theta))
 
     @functools.cached_property
     def regime(self) -> Regime:
@@ -245,7 +288,8 @@ class FitResult:
         Lengths in λc of the table, where λc is fitted too.
         """
         q = self.parameters
-        found, contact = q.front.regime(q.inputs.at(self.theta)), np.exp(q.scales["position"](self.theta))
+        none = np.zeros(len(self.measurements))
+        found, contact = q.front.regime(q.inputs.at(self.theta)), np.exp(q.linear(none, {"correlation_length": 1})(self.theta))
         return found._replace(slow_decay_length=found.slow_decay_length * contact)
 
     @property
@@ -253,18 +297,6 @@ class FitResult:
         """L/H of each measurement, NaN without end; None if not stated."""
         m = self.measurements
         return None if m.block_length is None else m.block_length / m.height
-
-    @functools.cached_property
-    def further(self) -> list[Further]:
-        """Data other than lengths, and the model's values for them."""
-        m, found = self.measurements, []
-        for data in self.problem.observed[1:]:
-            places = [m.place(i) for i in data.measurement.tolist()]
-            if m.gauges is not None and data.observable in READINGS:
-                places = [m.gauges.place(i) for i in np.nonzero(m.gauges.there(data.observable))[0].tolist()]
-            fitted = self.problem.predict(self.theta, data.observable)[0]
-            found.append(Further(data.observable, data.value[0], data.sigma, fitted, places))
-        return found
 
     @property
     def dof(self) -> int:
@@ -274,24 +306,12 @@ class FitResult:
     @property
     def p_value(self) -> float | None:
         """Probability of so large a misfit, or its bound; None if unknown."""
-        return self.problem.p_value(self.deviance, self.testable_dof)
+        return self.problem.p_value(self.theta, self.deviance, self.testable_dof)
 
     @property
     def misfit(self) -> float:
         """Deviance beyond that of a perfect match: χ² for plain lengths."""
-        return self.deviance - self.problem.perfect
-
-    @property
-    def residuals(self) -> np.ndarray:
-        """(fitted − measured)/σ of the lengths, shape (n,).
-
-        For counts and fronts without arrest what lies outside, else 0.
-        """
-        data = self.problem.lengths
-        off, kind = self.fitted - data.value[0], data.kind
-        off = np.where(kind == "whole", np.where(off > 0, off, np.minimum(off + 1, 0)), off)
-        off = np.where(kind == "at_least", np.minimum(off, 0), off)
-        return off / np.where(self.sigma > 0, self.sigma, 1)
+        return self.deviance - self.problem.perfect(self.theta)
 
     changes = functools.cached_property(find_changes)
     next_steps = functools.cached_property(suggestions)

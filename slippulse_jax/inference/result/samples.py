@@ -19,9 +19,10 @@ from scipy.special import expit, logit
 
 from slippulse_jax.base.domains import check_choice
 from slippulse_jax.base.files import plain
-from slippulse_jax.inference.model.parameters import Free
+from slippulse_jax.inference.observables.observable import STUDENT_DOF
+from slippulse_jax.inference.parameters import Free
 from slippulse_jax.inference.search.intervals import LEVELS
-from slippulse_jax.inference.search.likelihood import STUDENT_DOF, Problem
+from slippulse_jax.inference.search.likelihood import Problem
 from slippulse_jax.inference.search.minimise import Convergence, minimise
 
 if TYPE_CHECKING:
@@ -205,7 +206,7 @@ def bootstrap(result: "FitResult", count: int = 1000, *, kind: Bootstrap = "para
     check_choice("kind", kind, Bootstrap)
     if count < 2:
         raise ValueError(f"count = {count}: at least 2 refits are needed")
-    if kind == "case" and result.measurements.is_sequence:
+    if kind == "case" and result.problem.emulates:
         raise ValueError("kind = 'case': forces of a sequence err together, and cannot be drawn one by one: use 'parametric'")
     if kind == "case" and len(result.measurements) < 2:
         raise ValueError("one measurement cannot be resampled: use kind = 'parametric'")
@@ -233,14 +234,15 @@ def simulated(result: "FitResult", count: int, rng: np.random.Generator) -> Prob
     problem, q = result.problem, result.parameters
     every = []
     for data in problem.observed:
-        mu = problem.predict(result.theta, data.observable)[0]
-        sigma = data.sigma
-        student = problem.loss == "student"
-        noise = rng.standard_t(STUDENT_DOF, (count, len(mu))) if student else rng.standard_normal((count, len(mu)))
-        drawn = mu + (sigma * noise if data.whitening is None else np.linalg.solve(data.whitening, noise.T).T)
-        whole, beyond = data.kind == "whole", data.kind == "at_least"
-        drawn = np.where(whole, np.maximum(np.ceil(drawn), 1), drawn)
-        every.append((np.where(beyond, data.value[0], drawn), np.ones((count, len(mu)))))
+        mu, size = problem.predicted(result.theta, data)[0], (count, len(data.rows))
+        noise = rng.standard_t(STUDENT_DOF, size) if problem.loss == "student" else rng.standard_normal(size)
+        spread = (
+            np.linalg.cholesky(problem.covariance(result.theta, data) + np.diag(data.sigma**2))
+            if data.observable.emulated
+            else None
+        )
+        drawn = mu + (data.sigma * noise if spread is None else noise @ spread.T)
+        every.append((data.observable.simulated(drawn, data.value[0]), np.ones(size)))
     spread = np.array([one.prior_sigma for one in q.free])
     means = np.repeat(problem.prior_mean, count, axis=0)
     known = np.isfinite(spread)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from slippulse_jax.base.shown import format_number
-from slippulse_jax.inference.model.parameters import STIFFNESSES, Free, ParameterSet
+from slippulse_jax.inference.parameters import STIFFNESSES, Free, ParameterSet
 from slippulse_jax.inference.search.intervals import LEVELS, Interval, Intervals, rise_of
 from slippulse_jax.inference.search.likelihood import Problem
 from slippulse_jax.inference.search.minima import SLACK, Curve, Found
@@ -91,7 +91,7 @@ def judge(
     if verdict.identifiability in (Identifiability.POOR_FIT, Identifiability.NO_SCATTER):
         return verdict, dict.fromkeys(reported, [])
     if verdict.identifiability is Identifiability.AT_MAXIMUM:
-        probability = float(chdtrc((found.testable_dof or 0) + 1, found.deviance - problem.perfect))
+        probability = float(chdtrc((found.testable_dof or 0) + 1, found.deviance - problem.perfect(found.theta)))
         return verdict, {level: pieces if probability >= 1 - level else [] for level, pieces in reported.items()}
     return verdict, reported
 
@@ -99,7 +99,7 @@ def judge(
 def _of_fit(problem: Problem, found: Found, j: int) -> Iterator[Verdict]:
     """Withhold a number where search or fit failed."""
     dof = found.testable_dof
-    p_value = problem.p_value(found.deviance, dof)
+    p_value = problem.p_value(found.theta, found.deviance, dof)
     if found.unconverged:
         yield Verdict(Identifiability.NOT_CONVERGED, f"a start {found.unconverged[0][1]}")
     if not problem.predict(found.theta).any():
@@ -123,7 +123,7 @@ def _of_range(problem: Problem, found: Found, j: int, pieces: list[Interval]) ->
         told = undetermined(problem, found.theta)
         why = f"the data allow every value in the range searched{'; ' * bool(told)}{told}"
         yield Verdict(Identifiability.UNINFORMATIVE, why)
-    limits = stiff and not problem.gauged and {*m.kind} == {"at_least"}  # which have no best value where all are met
+    limits = stiff and not problem.steps and {*m.kind} == {"at_least"}  # which have no best value where all are met
     if limits and len(pieces) == 1 and (problem.predict(found.theta)[0] >= m.length).all():
         yield from _open(pieces)
         yield Verdict(Identifiability.EQUAL, "every value in the interval gives lengths that are long enough")
@@ -135,7 +135,7 @@ def _of_range(problem: Problem, found: Found, j: int, pieces: list[Interval]) ->
     if problem.p > 1 and found.roots and found.roots[0].singular[j] and all(every):
         yield Verdict(Identifiability.UNINFORMATIVE, undetermined(problem, found.theta))
     if stiff and _above_maximum(problem, found):
-        over = problem.lengths.value[0] / found.attainable
+        over = problem.by_row(lambda data: data.value[0]) / found.attainable
         worst = int(np.argmax(over))
         times = f"{over[worst]:.3g} times the longest at any stiffness searched"
         yield Verdict(Identifiability.AT_MAXIMUM, f"{m.number(worst)} is {times}; {UNCHANGED}")
@@ -171,7 +171,7 @@ def _of_shape(problem: Problem, found: Found, j: int, profiled: Intervals) -> It
 def _above_maximum(problem: Problem, found: Found) -> bool:
     # gauges determine stiffness where the length does not, and their fields bend from contact to contact;
     # interpolated lengths bend at their nodes too, so one of the lengths must be close to its longest
-    if not found.roots or found.roots[0].share >= 0.5 or problem.gauged:
+    if not found.roots or found.roots[0].share >= 0.5 or problem.steps:
         return False
     predicted, m = problem.predict(found.roots[0].theta)[0], problem.measurements
     met = (np.array(m.kind) == "at_least") & (predicted >= m.length)  # which says nothing of the longest
@@ -196,9 +196,9 @@ def _several(problem: Problem, found: Found, j: int, pieces: list[Interval]) -> 
     free, joined, roots = problem.parameters.free[j], len(pieces) == 1, found.roots
     values = sorted({float(f"{free.value(root.theta[j]):.4g}") for root in roots if free.low < root.theta[j] < free.high})
     near = 1e-3
-    if joined and problem.measurements.is_sequence:
+    if joined and problem.emulates:
         return  # whose deviance is rough: minima within one interval are one valley
-    if joined and problem.gauged and roots and not roots[0].singular[j]:
+    if joined and problem.steps and roots and not roots[0].singular[j]:
         # one standard error where gauges were read, whose fields change in steps from contact to contact
         near = max(near, float(np.sqrt(rise_of(LEVELS[0], dof=found.scatter_dof) * roots[0].covariance[j, j])))
     apart = [value for i, value in enumerate(values) if i == 0 or abs(free.theta(value) - free.theta(values[i - 1])) > near]
@@ -219,7 +219,7 @@ def _not_normal(problem: Problem, found: Found, j: int, profiled: Intervals) -> 
     else:
         error = np.sqrt(rise_of(LEVELS[0], dof=found.scatter_dof) * found.roots[0].covariance[j, j])
         widths = [abs(end - found.theta[j]) / error for end in (inner[0].low, inner[-1].high)]
-        if max(widths) < 0.5 and free.name in STIFFNESSES and not problem.measurements.is_sequence:
+        if max(widths) < 0.5 and free.name in STIFFNESSES and not problem.emulates:
             longest = f"the measured length is almost the longest at any stiffness; {UNCHANGED}"
             yield Verdict(Identifiability.AT_MAXIMUM, longest)
         if len(inner) > 1 or max(widths) > 1.5 or min(widths) < 1 / 1.5:

@@ -122,7 +122,7 @@ def profile(problem: Problem, j: int, roots: list[Root], seeds: np.ndarray, grid
     low, high = problem.parameters.low[j], problem.parameters.high[j]
     spread = np.linspace(low, high, NODES) if grid is None or problem.p > 1 else grid.theta[:, 0]
     around = [spread, [root.theta[j] for root in roots]]
-    if grid is not None and problem.p > 1 and (problem.lengths.kind == "whole").any():
+    if grid is not None and problem.p > 1 and any(data.observable.counts for data in problem.observed):
         around.append(np.unique(grid.theta[..., j]))  # a count may hold between two others
     for root in roots:
         step = min(np.sqrt(root.covariance[j, j]), (high - low) / 8)
@@ -231,7 +231,7 @@ class Predictions(NamedTuple):
 
 def can_be_calibrated(problem: Problem) -> bool:
     """Whether one or two parameters are fitted to Gaussian values."""
-    return problem.p <= 2 and problem.plain
+    return problem.p <= 2 and problem.simulable
 
 
 def to_be_simulated(problem: Problem, wanted: IntervalsBy, found: Found, pieces: dict[int, Intervals]) -> bool:
@@ -242,7 +242,7 @@ def to_be_simulated(problem: Problem, wanted: IntervalsBy, found: Found, pieces:
     minima, deviance = found.minima, found.deviance
     if wanted == "calibrated":
         return True
-    if wanted == "profile" or not can_be_calibrated(problem) or not minima or problem.measurements.is_sequence:
+    if wanted == "profile" or not can_be_calibrated(problem) or not minima:
         return False
     if any(one.deviance < deviance - SLIGHT for one in minima):  # simulated fits would prefer what stands last here
         return False
@@ -416,12 +416,13 @@ def allowed_by_counts(problem: Problem) -> tuple[list[Interval], list[int]]:
 
     Between two nodes of the grid, which has the peak of every length among them, each length is taken to be monotonic.
     """
-    data = problem.lengths
-    kind, value = data.kind, data.value[0]
+    value = np.concatenate([data.value[0] for data in problem.observed])
+    counted = np.concatenate([np.full(len(data.rows), data.observable.counts) for data in problem.observed])
+    row = np.concatenate([data.measurement for data in problem.observed])
     edge = first_edges(problem)[0]
     length = problem.predictions(edge[:, None])
     # a count holds between n − 1 and n, a front without arrest from the length it ran past
-    limits = [(i, x) for i in range(len(value)) for x in ((value[i] - 1, value[i]) if kind[i] == "whole" else (value[i],))]
+    limits = [(i, x) for i in range(len(value)) for x in ((value[i] - 1, value[i]) if counted[i] else (value[i],))]
     datum = np.array([i for i, _ in limits])
     limit = np.array([x for _, x in limits])
     above = length[:, datum] > limit
@@ -435,11 +436,9 @@ def allowed_by_counts(problem: Problem) -> tuple[list[Interval], list[int]]:
         low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
     ends = np.unique(np.concatenate([edge[[0, -1]], high]))
     found = problem.predictions(((ends[1:] + ends[:-1]) / 2)[:, None])
-    holds = np.where(
-        kind == "whole", (found <= value) & ((found > value - 1) | (value <= 1)), found >= value
-    )  # fmt: skip
-    inside = holds.all(axis=1)
+    holds = np.where(counted, (found <= value) & ((found > value - 1) | (value <= 1)), found >= value)
+    inside = np.atleast_1d(holds.all(axis=1))
     if not inside.any():
         best = int(np.argmax(holds.sum(axis=1)))
-        return [], data.measurement[~holds[best]].tolist()
+        return [], np.sort(row[~holds[best]]).tolist()
     return pieces_of(ends, inside, ends[1:-1][_changes(inside)].tolist()), []

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slippulse_jax.inference.model.inputs import Inputs
-from slippulse_jax.inference.model.parameters import STIFFNESSES, ParameterSet
+from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet
 from slippulse_jax.inference.search.likelihood import EXPECTED, Problem, costs
 from slippulse_jax.inference.search.minimise import Convergence, Method, descend, minimise
 
@@ -187,17 +187,21 @@ def between_contacts(problem: Problem, seed: int) -> np.ndarray | None:
 
     In λc; 0 for counts, unless lengths are interpolated. None where all are small compared with σ.
     """
-    data, q = problem.lengths, problem.parameters
-    concerned = (data.kind == "length") | q.front.interpolated
-    widest = q.front.most_off * np.exp(q.scales["length"](np.stack([q.low, q.high])).max(axis=0))
-    if not (concerned & (widest > BETWEEN * data.sigma)).any():
+    q = problem.parameters
+    if problem.emulates or not q.front.most_off:
+        return None
+    concerned = problem.by_row(lambda data: np.full(len(data.rows), data.observable.is_value)) > 0
+    concerned, sigma = concerned | q.front.interpolated, problem.by_row(lambda data: data.sigma)
+    scale, _ = q.of_lengths
+    widest = q.front.most_off * np.exp(scale(np.stack([q.low, q.high])).max(axis=0))
+    if not (concerned & (widest > BETWEEN * sigma)).any():
         return None
     theta = first_look(problem, seed)
     off = q.front.uncertainty(q.inputs.at(theta))
     if off is None:
         return None
-    off = np.where(concerned, off * np.exp(q.scales["length"](theta)), 0.0)
-    return off if (off > BETWEEN * data.sigma).any() else None
+    off = np.where(concerned, off * np.exp(scale(theta)), 0.0)
+    return off if (off > BETWEEN * sigma).any() else None
 
 
 def first_look(problem: Problem, seed: int) -> np.ndarray:
@@ -218,7 +222,7 @@ def scaled_to_scatter(problem: Problem, theta: np.ndarray, *, of_lengths: bool) 
     The problem has the σ stated, and is returned with σ of that size, those of all data or `of_lengths` alone; with the fit.
     """
     q, factor, turns = problem.parameters, 1.0, 0
-    widest = float(np.max(problem.lengths.sigma / problem.lengths.value[0]))
+    widest = float(np.max(problem.by_row(lambda data: data.sigma / data.value[0])))
     while True:
         sized = problem.with_sigma(factor, of_lengths=of_lengths)
         end = minimise(sized, theta[None], q.low, q.high)
@@ -241,12 +245,11 @@ def scaled_to_scatter(problem: Problem, theta: np.ndarray, *, of_lengths: bool) 
 
 def _left_over(problem: Problem, theta: np.ndarray, of_lengths: bool) -> tuple[float, float]:
     """Deviance and degrees of freedom of data whose σ are scaled."""
-    scaled, deviance = problem.observed[: 1 if of_lengths else None], 0.0
+    scaled, deviance = problem.of_rows if of_lengths else problem.observed, 0.0
     for data in scaled:
-        mu = problem.predict(theta, data.observable)
-        deviance += 2 * float(costs(mu, data, np.zeros(1, int), problem.loss)[0].sum())
+        deviance += 2 * float(costs(problem.predicted(theta, data), data, np.zeros(1, int))[0].sum())
     jacobian = problem.jacobian(theta) * (problem.parameters.high - problem.parameters.low)
-    own = jacobian[: sum(len(data.rows) for data in scaled)]  # the lengths come first, priors last
+    own = jacobian[: sum(len(data.rows) for data in scaled)]  # what the rows are about comes first, priors last
     used = np.trace(np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12, hermitian=True) @ (own.T @ own))
     return deviance, len(own) - float(used)
 
@@ -284,18 +287,17 @@ def _counted(problem: Problem, j: int, at: np.ndarray) -> np.ndarray:
 
     A count may hold in a range narrower than the grid's.
     """
-    q, data = problem.parameters, problem.lengths
-    counts = np.flatnonzero(data.kind == "whole")
-    if not len(counts):
-        return np.empty(0)
+    q, found = problem.parameters, [np.empty(0)]
     theta = np.tile(at, (NODES[1], 1))
     theta[:, j] = np.linspace(q.low[j], q.high[j], NODES[1])
-    off = problem.predict(theta)[:, counts] - (data.value[0][counts] - 0.5)
-    at, which = np.nonzero((off[1:] >= 0) != (off[:-1] >= 0))
-    with np.errstate(invalid="ignore"):
-        share = off[at, which] / (off[at, which] - off[at + 1, which])
-    share = np.where(np.isfinite(share), share, 0.5)
-    return theta[at, j] + share * (theta[at + 1, j] - theta[at, j])
+    for data in (data for data in problem.observed if data.observable.counts):
+        off = problem.predicted(theta, data) - (data.value[0] - 0.5)
+        node, which = np.nonzero((off[1:] >= 0) != (off[:-1] >= 0))
+        with np.errstate(invalid="ignore"):
+            share = off[node, which] / (off[node, which] - off[node + 1, which])
+        share = np.where(np.isfinite(share), share, 0.5)
+        found.append(theta[node, j] + share * (theta[node + 1, j] - theta[node, j]))
+    return np.concatenate(found)
 
 
 def _starts(problem: Problem, grid: DevianceGrid | None, seed: int) -> np.ndarray:
@@ -307,6 +309,8 @@ def _starts(problem: Problem, grid: DevianceGrid | None, seed: int) -> np.ndarra
 def lowest_look(problem: Problem) -> np.ndarray:
     """Point of least deviance on grids, ever closer along each parameter."""
     q, points = problem.parameters, _starts(problem, grid_of(problem), 0)
+    if len(problem.points.theta):
+        points = np.concatenate([points, problem.points.theta])
     if problem.prior_weight.any():
         points = np.concatenate([points, _sampled(problem, 0)])
     best = points[np.argmin(problem(points).value)]
@@ -340,11 +344,11 @@ def _tops(problem: Problem) -> np.ndarray:
 
     With more, each with its own peak, no single length makes a pair of roots.
     """
-    q, data = problem.parameters, problem.lengths
-    _, first = np.unique(data.rows, return_index=True)
-    if len(first) > 24 or q.free[0].name not in STIFFNESSES:
+    q = problem.parameters
+    first = [data.measurement[np.unique(data.rows, return_index=True)[1]] for data in problem.of_rows]
+    if sum(map(len, first)) > 24 or q.free[0].name not in STIFFNESSES:
         return np.empty(0)
-    theta, inputs = q.low, q.inputs.take(data.measurement[first])
+    theta, inputs = q.low, q.inputs.take(np.concatenate(first))
     _, ratio = q.longest(theta, inputs)
     return np.unique(np.log(ratio) - inputs.log_stiffness(theta) + theta[0])
 
@@ -368,7 +372,7 @@ def same(point: np.ndarray, deviance: float, one: Root, problem: Problem) -> boo
     """
     if abs(deviance - one.deviance) > 1e-3:
         return False
-    if problem.p == 1 and not problem.gauged:
+    if problem.p == 1 and not problem.steps:
         between = 2 * float(problem((point + one.theta)[None] / 2).value[0])
         higher = max(deviance, one.deviance)
         return between <= higher + 1e-9 * max(1, abs(higher))  # far above rounding

@@ -1,11 +1,16 @@
-"""Parameters of a fit, and the linear map to the model's inputs.
+"""Parameters of a fit, their check, and their map to inputs.
 
 Positive parameters are fitted as θ = ln(value), the others as they are. Every input of the model (`Inputs`), and the logarithm
 of every scale that turns model units into measured ones, is then **linear** in θ. Heights, moduli and correlation lengths with
 errors of their own are parameters with a prior, like any other.
+
+A request that has no meaning is an error. Numbers that may be in another unit, and columns that may be exchanged, are
+suspicions. A table checks its own rows (`slippulse_jax.inference.table.columns`), a model what it takes (`Front.check`).
 """
 
 import dataclasses
+import functools
+import warnings
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -14,35 +19,20 @@ import jax
 import numpy as np
 
 from slippulse_jax.base.choices import did_you_mean
-from slippulse_jax.base.domains import in_unit, real_numbers
+from slippulse_jax.base.domains import Domain, in_unit, real_numbers
 from slippulse_jax.bulk.chunks import distinct_rows
-from slippulse_jax.inference.model.fronts import Front, front_of
-from slippulse_jax.inference.model.inputs import COMMON, Inputs
-from slippulse_jax.inference.table.columns import OVER_ALL
-from slippulse_jax.inference.table.measurements import Measurements
+from slippulse_jax.inference.choices import Body, Loss, MeasuredEvent
+from slippulse_jax.inference.model.front import STIFFEST, Front
+from slippulse_jax.inference.model.inputs import COMMON, Inputs, Linear
+from slippulse_jax.inference.model.models import front_for, front_of, model_of
+from slippulse_jax.inference.observables import Length, Observable, observables_of
+from slippulse_jax.inference.table.columns import COLUMNS, EVERY, IN_LC, NUMERIC, OVER_ALL, MeasurementError
+from slippulse_jax.inference.table.measurements import Measurements, MeasurementWarning
 
-SCALES = ("length", "reach", "first", "displacement", "force", "slip", "stress", "position", "offset", "force_offset", "beyond")
-"""ln(unit of measurement per unit of the model) of each observable, `reach` that of forces by place; what is added to a length,
-in λc, and to a force; and the contacts broken beyond ℓ when gauges were read."""
+LIKELY = Domain(0.02, 1.2, "")
+"""Usual range of the length over the height."""
 PRIOR_REACH = 6.0
 """Standard deviations of a prior searched on either side where no bounds are given."""
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True, eq=False)
-class Linear:
-    """One number per measurement, linear in θ."""
-
-    base: np.ndarray  # (n,)
-    slope: np.ndarray  # (n, p)
-
-    def __call__(self, theta: Any) -> Any:
-        """Values at θ of shape (…, p); shape (…, n)."""
-        return self.base + theta @ self.slope.T
-
-    def __getitem__(self, rows: Any) -> "Linear":
-        """Select some measurements."""
-        return Linear(self.base[rows], self.slope[rows])
 
 
 def _is_number(x: Any) -> bool:
@@ -144,16 +134,53 @@ class Free(NamedTuple):
         return float(np.log(value)) if self.log else float(value)
 
 
+class Effect(NamedTuple):
+    """What one parameter changes, of some measurements."""
+
+    name: str
+    rows: np.ndarray  # (n,), 1 where it acts
+    shift: np.ndarray  # (n,), added to what is stated
+    theta: int | None  # number of the θ that is added too; None where the parameter is held
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class ParameterSet:
     """The map from θ, (p,), to the inputs of every measurement."""
 
+    measurements: Measurements
     free: tuple[Free, ...]
     held: dict[str, float]  # by name, in their units
-    inputs: Inputs  # a `Linear` each
-    scales: dict[str, Linear]  # what else θ acts on, by the names of `SCALES`
-    front: Front  # the model of a length
+    effects: tuple[Effect, ...]
+    front: Front  # the model
+    observables: tuple[Observable, ...]  # that it predicts
     wanted: tuple[Parameter, ...]  # of which it was made, with those that measuring adds
+
+    def linear(self, base: np.ndarray, acts: Mapping[str, Any]) -> Linear:
+        """Make a number per measurement linear in θ.
+
+        From its value as stated, (n,), and what a unit of θ of each parameter adds.
+        """
+        slope = np.zeros((len(base), len(self.free)))
+        for one in self.effects:
+            size = acts.get(one.name, 0) * one.rows
+            base = base + acts.get(one.name, 0) * one.shift
+            if one.theta is not None:
+                slope[:, one.theta] += size
+        return Linear(base, slope)
+
+    @functools.cached_property
+    def inputs(self) -> Inputs:
+        """Inputs of the model, a `Linear` each."""
+        m = self.measurements
+        log_lc, log_young = np.log(m.metres), 0.0 if m.young is None else np.log(m.young)
+        every = np.log(m.height), log_lc - log_young, m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope")
+        base = dict(zip(COMMON, every, strict=True)) | self.front.stated(m)
+        acts: dict[str, dict[str, Any]] = {name: {} for name in base}
+        for parameter in {one.name for one in self.effects}:
+            for name, size in acts_of(m, parameter).items():
+                acts.get(name, {})[parameter] = size
+        found = {name: self.linear(x, acts[name]) for name, x in base.items()}
+        return Inputs(*(found.pop(name) for name in COMMON), more=found)
 
     @property
     def names(self) -> list[str]:
@@ -209,7 +236,14 @@ class ParameterSet:
         Both of shape (n,). At any stiffness searched; the other parameters stay as in `theta`.
         """
         longest, where = self.longest(theta, self.inputs)
-        return longest * np.exp(self.scales["length"](theta)) + self.scales["offset"](theta), where
+        scale, offset = self.of_lengths
+        return longest * np.exp(scale(theta)) + offset(theta), where
+
+    @property
+    def of_lengths(self) -> tuple[Linear, Linear]:
+        """Logarithm of the factor on lengths, and their offset, in stated λc."""
+        none = np.zeros(len(self.measurements))
+        return self.linear(none, Length.acts), self.linear(none, {Length.added: 1})
 
     def common_ratio(self, theta: np.ndarray) -> float | None:
         """k/K at θ where one is fitted for all measurements."""
@@ -224,7 +258,7 @@ class ParameterKind(NamedTuple):
     symbol: str
     unit: tuple[str, str]  # for lengths in λc, and in SI
     log: bool
-    acts: dict[str, float]  # what a unit of θ adds to each of the inputs and `SCALES`
+    acts: dict[str, float]  # what a unit of θ adds to each of the inputs; observables say on which of them it acts
     bounds: tuple[float, float] | None = None  # searched by default
     factor: float | None = None  # of one that measurements may state: up to which multiple of it is searched, if no bounds are
     limits: tuple[float, float] = (-np.inf, np.inf)  # of a range that follows from a prior
@@ -232,13 +266,13 @@ class ParameterKind(NamedTuple):
 
 PARAMETERS: dict[str, ParameterKind] = {
     "stiffness": ParameterKind("k/K", ("", ""), True, {"log_stiffness": 1}),
-    "areal_stiffness": ParameterKind("k/λc²", ("Pa/m", "Pa/m"), True, {"log_stiffness": 1, "displacement": -1, "slip": -1}),
+    "areal_stiffness": ParameterKind("k/λc²", ("Pa/m", "Pa/m"), True, {"log_stiffness": 1}),
     "areal_stiffness_over_young": ParameterKind("(k/λc²)/E", ("1/m", "1/m"), True, {"log_stiffness": 1}),
     "height": ParameterKind("H", ("λc", "m"), True, {"log_height": 1, "log_push": -1, "log_push_width": -1}, factor=2.0),
     "correlation_length": ParameterKind(
         "λc", ("", "m"), True,
         # H/λc falls; k/K = (k/λc²) λc/E rises
-        {"log_height": -1, "log_stiffness": 1, "length": 1, "force": 1, "position": 1, "log_sites": -1},
+        {"log_height": -1, "log_stiffness": 1, "log_sites": -1},
         factor=10.0,
     ),
     "push_height": ParameterKind("h", ("λc", "m"), True, {"log_push": 1}, factor=2.0),
@@ -255,12 +289,12 @@ PARAMETERS: dict[str, ParameterKind] = {
     "time_constant": ParameterKind("τ", ("u_s", "u_s"), True, {"log_time": 1}, (0.02, 50.0)),
     "threshold_scatter": ParameterKind("scatter", ("", ""), False, {"threshold_scatter": 1}, (0.0, 0.15), limits=(0.0, 0.3)),
     "machine_stiffness": ParameterKind("M", ("E", "Pa"), True, {"log_machine": 1}, factor=10.0),
-    "normal_load": ParameterKind("F_N", ("", "N/m"), True, {"reach": 1}, factor=10.0),
-    "strength": ParameterKind("σ_s", ("", "Pa"), True, {"displacement": 1, "force": 1, "slip": 1, "stress": 1}, (1.0, 1e12)),
-    "offset": ParameterKind("offset", ("λc", "m"), False, {"offset": 1}),
-    "force_offset": ParameterKind("force offset", ("", "N/m"), False, {"force_offset": 1}),
-    "model_factor": ParameterKind("model factor", ("", ""), True, {"length": 1}),
-    "arrest": ParameterKind("contacts beyond ℓ", ("λc", "λc"), False, {"beyond": 1}),
+    "normal_load": ParameterKind("F_N", ("", "N/m"), True, {}, factor=10.0),
+    "strength": ParameterKind("σ_s", ("", "Pa"), True, {}, (1.0, 1e12)),
+    "offset": ParameterKind("offset", ("λc", "m"), False, {}),
+    "force_offset": ParameterKind("force offset", ("", "N/m"), False, {}),
+    "model_factor": ParameterKind("model factor", ("", ""), True, {}),
+    "arrest": ParameterKind("contacts beyond ℓ", ("λc", "λc"), False, {}),
 }  # fmt: skip
 """Every parameter by name; k/K, areal stiffness and its ratio to E are one parameter, named by what the data determine."""
 STIFFNESSES = ("stiffness", "areal_stiffness", "areal_stiffness_over_young")
@@ -269,64 +303,70 @@ HEIGHTS = ("height", "push_height", "push_width", "block_length")
 NEEDS_SI = ("correlation_length", "young", "strength")
 OF_MEASURING = ("offset", "model_factor")
 """What is fitted beside for lengths of provenance "measured", and acts on these."""
+STARTS = ("young", "push_height", "push_width", "block_length", "block_width", "normal_stiffness")
+"""Parameters that are nothing without a column."""
+COMPARED = (*HEIGHTS, "young", "correlation_length", "normal_load", "machine_stiffness", "strength", "time_constant")
+"""Parameters whose priors, values and bounds are held against what the table states, or what is usual."""
+USUALLY = {"strength": (1e3, 1e9), "time_constant": (0.02, 50.0)}
+"""Usual ranges of parameters that no table states."""
+IN_UNIT = {"m": "height", "Pa": "young"}
+"""Columns by whose units a parameter in one of SI may be meant."""
+IN_ALL = {"normal_load": "N", "machine_stiffness": "N/m"}
+"""Units in which those over the width of the block may be given by mistake."""
+SUSPECT = (0.01, 1.5)
+"""Range of the length over the height outside which a unit is suspected."""
 MODEL_ERROR = 0.1
 """Default relative error of the model's length for measured blocks: about the difference to a block under two-dimensional
 elasticity that is pushed over all but the lowest quarter of its side. Other pushers: docs/model/limits.md."""
 
 
 def parameter_set(
-    m: Measurements,
-    wanted: Iterable[str | Parameter],
-    front: Front | None = None,
+    m: Measurements, wanted: Iterable[str | Parameter], front: Front | None = None, loss: Loss = "normal"
 ) -> ParameterSet:
     """Map the parameters of a fit to the inputs of the model.
 
     Everything that is neither fitted nor held is as stated with the measurements; "stiffness" stands for whichever stiffness
-    they determine. The model of a length is `front`, by default that of `front_of`. What a user asks for is checked before
-    (`slippulse_jax.inference.model.check.checked`).
+    they determine. The model is `front`, by default that of `front_of`. What a user asks for is checked before (`checked`).
     """
     wanted = tuple(Parameter(one) if isinstance(one, str) else one for one in wanted)
     front, chosen = front or front_of(m), with_names(m, wanted)
-    log_lc, log_young = np.log(m.metres), 0.0 if m.young is None else np.log(m.young)
-    every = np.log(m.height), log_lc - log_young, m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope")
-    inputs = dict(zip(COMMON, every, strict=True)) | front.stated(m)
-    base = inputs | {name: log_lc if name == "force" else np.zeros(len(m)) for name in SCALES}
-    if m.normal_load is not None:
-        base["reach"] = np.log(m.normal_load)
-    free: list[Free] = []
-    slopes: list[dict[str, np.ndarray]] = []
+    stated_inputs, free, effects = front.stated(m), list[Free](), list[Effect]()
     held: dict[str, float] = {}
     for parameter, label, rows in (*_asked(m, chosen), *_uncertain(m, front), *_arrests(m)):
-        name = parameter.name
-        reference, unit = inputs.get(name, _reference(m, name)), m.metres if name == "offset" else 1
-        of_kind = _by_width(m) if name == "block_width" else PARAMETERS[name].acts
-        acts = {target: size * rows / unit for target, size in of_kind.items()}  # of a unit of θ
+        name, index = parameter.name, None
+        reference, unit = stated_inputs.get(name, _reference(m, name)), m.metres if name == "offset" else 1
         if parameter.value is not None:
             held[name] = parameter.value
             shift = (np.log(parameter.value) if PARAMETERS[name].log else parameter.value) - reference
         else:
+            index = len(free)
             free.append(_free(m, front, parameter, label, rows, float(reference[rows][0])))
-            slopes.append(acts)
             # a height is fitted as one factor on all of its rows, and shown as the height of the first
             shift = np.where(rows, -reference[rows][0], 0.0) if name in HEIGHTS else -reference
-        base |= {target: base[target] + size * shift for target, size in acts.items() if target in base}
-
-    def linear(target: str) -> Linear:
-        columns = [acts.get(target, np.zeros(len(m))) for acts in slopes]
-        return Linear(base[target], np.stack(columns, axis=-1).astype(float))
-
-    maps = Inputs(*map(linear, COMMON), more={name: linear(name) for name in inputs if name not in COMMON})
-    return ParameterSet(tuple(free), held, maps, {name: linear(name) for name in SCALES}, front, wanted)
+        effects.append(Effect(name, rows / unit, shift * rows / unit, index))
+    return ParameterSet(m, tuple(free), held, tuple(effects), front, observables_of(front, loss), wanted)
 
 
-def with_errors_of_measuring(m: Measurements, wanted: Sequence[Parameter], *, size_known: bool) -> list[Parameter]:
+def acts_of(m: Measurements, name: str) -> dict[str, float]:
+    """How much a unit of θ adds to each input.
+
+    A width acts on the machine if its stiffness is stated over all of it.
+    """
+    if name == "block_width":
+        return {"log_machine": -float(m.heading("machine_stiffness").endswith(OVER_ALL))}
+    return PARAMETERS[name].acts
+
+
+def with_errors_of_measuring(
+    m: Measurements, wanted: Sequence[Parameter], front: Front | type[Front] | None = None, *, size_known: bool
+) -> list[Parameter]:
     """Add the errors that all measured lengths share, unless they are named.
 
     These are reading edge and tip, and what the model leaves out. Only for lengths of provenance "measured": a model factor of
     1 ± `MODEL_ERROR` and, where the size of σ is known, an offset of 0 ± their median.
     """
     of_lengths = np.array([kind == "length" for kind in m.kind])
-    if "measured" not in m.provenance or not of_lengths.any() or m.is_sequence:
+    if "measured" not in m.provenance or not of_lengths.any() or "length" not in (front or model_of(m)).observes:
         return list(wanted)
     priors = {"model_factor": (1.0, MODEL_ERROR)}
     if size_known and m.length_sigma is not None:
@@ -378,20 +418,13 @@ def _free(m: Measurements, front: Front, parameter: Parameter, label: str, rows:
     return Free(label, parameter.name, symbol, unit, kind.log, *numbers, parameter.nuisance)
 
 
-def _by_width(m: Measurements) -> dict[str, float]:
-    """What a block's width acts on: all that is stated over it."""
-    columns = map(m.heading, ("force", "normal_load", "machine_stiffness"))
-    force, load, machine = (float(column.endswith(OVER_ALL)) for column in columns)
-    return {"force": force, "reach": force - load, "log_machine": -machine}
-
-
 def stated_errors(m: Measurements, front: Front) -> dict[str, np.ndarray]:
     """Errors of inputs that the measurements state, as `stated`."""
     names = ["height", "poisson", "correlation_length", "young"]
     names += ["push_height", "push_width", "friction", "normal_stiffness"] * (front.body == "block")
     names += ["block_length"] * ("log_sites" in front.inputs)
     names += ["machine_stiffness", "block_width"] * ("log_machine" in front.inputs)
-    names += ["normal_load"] * (front.event == "sequence")
+    names += ["normal_load"] * any("normal_load" in one.acts for one in observables_of(front))
     every = {name: stated(m, name, "_sigma") for name in names}
     return {name: sigma for name, sigma in every.items() if sigma is not None and np.nan_to_num(sigma).any()}
 
@@ -477,18 +510,22 @@ def with_names(m: Measurements, wanted: Iterable[Parameter]) -> list[Parameter]:
     return [replace(one, name=stiffness_name(m)) if one.name == "stiffness" else one for one in wanted]
 
 
-def default_free(m: Measurements, held: Container[str]) -> list[str]:
-    """The stiffness, and what a sequence needs and no column states."""
-    unstated = [name for name in ("friction", "normal_load") if m.is_sequence and getattr(m, name) is None]
+def default_free(m: Measurements, held: Container[str], front: Front | type[Front]) -> list[str]:
+    """The stiffness, and what the model needs and no column states."""
+    unstated = [name for name in front.needs if getattr(m, name) is None]
     stiffness = [] if any(name in held for name in STIFFNESSES) else ["stiffness"]
     return [*stiffness, *(name for name in unstated if name not in held)]
 
 
 def wanted_parameters(
-    m: Measurements, free: Any, bounds: tuple[float, float] | None, fixed: Mapping[str, float] | None
+    m: Measurements,
+    free: Any,
+    bounds: tuple[float, float] | None,
+    fixed: Mapping[str, float] | None,
+    front: Front | type[Front] | None = None,
 ) -> list[Parameter]:
     """Collect the parameters, fitted or held, that the arguments of `fit` name."""
-    free = default_free(m, fixed or ()) if free is None else free
+    free = default_free(m, fixed or (), front or model_of(m)) if free is None else free
     free = (free,) if isinstance(free, (str, Parameter)) else tuple(free)
     if not free:
         raise ValueError("free = (): nothing to fit")
@@ -501,3 +538,251 @@ def wanted_parameters(
     if not isinstance(fixed, Mapping | None):
         raise TypeError(f"fixed is {type(fixed).__name__}: must be a dict of parameters and values, as {{'poisson': 0.3}}")
     return wanted + [Parameter(name, value=value) for name, value in (fixed or {}).items()]
+
+
+# --- what is asked for --------------------------------------------------------------------------------------------------
+
+
+def checked(
+    m: Measurements,
+    wanted: Iterable[str | Parameter],
+    event: MeasuredEvent | Front | None = None,
+    body: Body | None = None,
+    loss: Loss = "normal",
+) -> ParameterSet:
+    """Check the parameters of a fit, and map them to inputs.
+
+    A ValueError if one is given twice, has no meaning for these measurements, is needed and missing, or its limits leave the
+    domain of the model, or the range in which a domino starts.
+    """
+    front, wanted = front_of(m, event, body), [Parameter(one) if isinstance(one, str) else one for one in wanted]
+    chosen = with_names(m, wanted)
+    names = [one.name for one in chosen]
+    for one in chosen:
+        _check_meaning(m, one, names)
+    if missing := [name for name in front.columns if name not in m.other]:
+        raise ValueError(f"{m.source}: the model reads the column {missing[0]}, which is not there")
+    _check_complete(m, chosen, front)
+    for one in observables_of(front):
+        one.check(m, names)
+    front.check(m, {one.name: one for one in chosen})
+    known = {name for one in observables_of(front) for name in (*one.acts, one.added)} | {"block_width"}
+    for name in names:
+        if not PARAMETERS[name].acts.keys() & {*front.inputs, *COMMON} and name not in known:
+            raise ValueError(f"parameter {name}: no part of the model, of a {front.name}")
+    for name in stated_errors(m, front):
+        if name in names:
+            error = "the measurements state its error: give it a prior there, or leave it out here"
+            raise ValueError(f"{name} is to be fitted, and {error}")
+    q = parameter_set(m, wanted, front, loss)
+    _check_domain(m, q)
+    _check_reached(m, q)
+    return q
+
+
+def _check_meaning(m: Measurements, one: Parameter, names: Sequence[str]) -> None:
+    """Check that a parameter has a meaning for these measurements."""
+    stiffness = stiffness_name(m)
+    if names.count(one.name) > 1:
+        raise ValueError(f"parameter {one.name} is given {names.count(one.name)} times")
+    if one.name == "arrest":
+        raise ValueError("parameter arrest: it is fitted wherever gauges were read; do not name it")
+    if one.name in STIFFNESSES and one.name != stiffness:
+        raise ValueError(f"parameter {one.name}: these measurements determine {stiffness}")
+    if one.name in NEEDS_SI and not m.in_si:
+        raise ValueError(f"parameter {one.name}: needs measurements in SI, with their correlation length")
+    _check_stated(m, one)
+    if one.each == "specimen" and not m.specimen:
+        raise ValueError(f"parameter {one.name}: each = 'specimen', but the measurements name no specimens")
+    if one.name == "model_factor" and one.prior is None and one.value is None:
+        raise ValueError(
+            "parameter model_factor: needs a prior, as (1, 0.05): the lengths alone cannot separate it from stiffness"
+        )
+
+
+def _check_stated(m: Measurements, one: Parameter) -> None:
+    """Check that the table states what a parameter starts from."""
+    if one.name in STARTS and (getattr(m, one.name) is None or not np.isfinite(getattr(m, one.name)).all()):
+        raise ValueError(f"parameter {one.name}: the measurements state no {EVERY[one.name].name(in_si=m.in_si)} to start from")
+    if one.name == "force_offset" and m.force is None:
+        raise ValueError("parameter force_offset: the measurements have no forces")
+
+
+def _check_complete(m: Measurements, chosen: Sequence[Parameter], front: Front) -> None:
+    """Check that what the measurements need is fitted or held."""
+    stiffness, names = stiffness_name(m), [one.name for one in chosen]
+    if stiffness not in names:
+        option = m.option(f"--free stiffness, or --fix {stiffness}=VALUE", f"fixed={{{stiffness!r}: …}}, or free with it")
+        raise ValueError(f"{stiffness} is neither fitted nor held: name it: {option}")
+    if "strength" not in names and (carrier := _carries_strength(m, front)):
+        asked = ["stiffness" if one.name == stiffness else one.name for one in chosen if one.value is None and not one.nuisance]
+        both = dict.fromkeys([*asked, "strength"])
+        option = m.option(" ".join(f"--free {name}" for name in both), f"free={[*both]}".replace("'", '"'))
+        raise ValueError(f"{carrier} scales with σ_s: fit strength too, or hold it at its value in Pa: {option}")
+    if all(one.value is not None for one in chosen):
+        raise ValueError("nothing is fitted: every parameter is held")
+
+
+def _carries_strength(m: Measurements, front: Front) -> str:
+    """Name what was measured that scales with σ_s; empty without any."""
+    own = dict.fromkeys(one.stated_by(m) for one in observables_of(front) if "strength" in one.acts and one.there(m))
+    return " and ".join(own)
+
+
+# --- the range that is searched -----------------------------------------------------------------------------------------
+
+
+def _check_domain(m: Measurements, q: ParameterSet) -> None:
+    """Check that no limit leads outside the domain of the model."""
+    every = {**COMMON, **q.front.inputs}
+    for name in q.inputs.names:
+        linear, (symbol, low, high, requirement) = q.inputs.get(name), every[name][:4]
+        reach = [float(end) for end in (_reach(q, linear)[0].min(), _reach(q, linear)[1].max())]
+        if low - 1e-9 <= reach[0] and reach[1] <= high + 1e-9:
+            continue
+        if mistaken := "; ".join(
+            _far_from_the_table(m, [one for one in q.wanted if name in PARAMETERS[one.name].acts], q.front)
+        ):
+            raise ValueError(mistaken)
+        shown = [np.exp(x) if name.startswith("log") else x for x in reach]
+        moving = " and ".join(one.label for one, by in zip(q.free, linear.slope.any(axis=0), strict=True) if by)
+        held = " and ".join(f"{one} = {x:g}" for one, x in q.held.items() if name in PARAMETERS[one].acts)
+        searched = f"the range searched for {moving}" + f" with {held}" * bool(held) if moving else held
+        raise ValueError(
+            f"{searched} means {symbol} {_span(*shown)} for some measurement: {requirement}; give "
+            + ("other bounds or another prior" if moving else "another value")
+        )
+
+
+def _check_reached(m: Measurements, q: ParameterSet) -> None:
+    """Refuse a range of stiffness in which no domino starts.
+
+    It is probably in another unit: no measurement is of more than the contact at the edge, whatever the other parameters.
+    """
+    name = stiffness_name(m)
+    one = next(one for one in q.wanted if one.name in ("stiffness", name))
+    key = next((key for key in ("bounds", "prior", "value") if getattr(one, key) is not None), None)
+    if key is None or m.length.min() <= 1 or "length" not in q.front.observes:
+        return
+    reach = {each: _reach(q, q.inputs.get(each)) for each in q.inputs.names}
+    easiest = {each: ends[each not in ("threshold_slope", "friction", "log_machine")] for each, ends in reach.items()}
+    low, high = reach["log_stiffness"]
+    softest = np.log(front_for("slider", "domino").softest(m))
+    some = np.flatnonzero(high > softest)
+    from_, to = np.maximum(low, softest)[some], high[some]
+    rows = Inputs.from_table([*easiest], np.stack([*easiest.values()], axis=-1)).take(some)
+    for share in (0.5, 1.0, 0.0, *np.linspace(0, 1, 65)) if len(some) else ():
+        at = rows._replace(log_stiffness=from_ + share * (to - from_))
+        if (q.front.starts(at) > 1).any():
+            return
+    lowest, highest = default_bounds(m, q.front, Parameter(name), np.ones(len(m), dtype=bool), 0.0)
+    lowest *= 1 if q.front.body == "block" else 100  # the default range of sliders begins where none starts
+    numbers, unit = np.atleast_1d(getattr(one, key)), PARAMETERS[name].unit[m.in_si]
+    shown = ", ".join(f"{x:g}" for x in numbers)
+    meant = f" (k/K = {numbers[0]:g} is {numbers[0] / ratio_per_unit(m).max():.2g} {unit})"
+    raise ValueError(
+        f"{key} = {f'({shown})' if key != 'value' else shown} of {name}{f', in {unit}' * m.in_si}: no domino starts at k/K "
+        f"{_span(np.exp(low.min()), np.exp(high.max()))}; expected within {lowest:.2g} to {highest:.2g} {unit}".rstrip()
+        + meant * bool(m.in_si and numbers[0] <= STIFFEST)
+    )
+
+
+def _span(low: float, high: float) -> str:
+    """Write a range, or a number: ``from 0.1 to 0.7``, ``= 3``."""
+    return f"from {low:.4g} to {high:.4g}" if low < high else f"= {low:.4g}"
+
+
+def _reach(q: ParameterSet, linear: Linear) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest number that each measurement gets from any θ searched."""
+    down, up = np.minimum(linear.slope, 0), np.maximum(linear.slope, 0)
+    return linear.base + up @ q.low + down @ q.high, linear.base + up @ q.high + down @ q.low
+
+
+# --- suspicions ---------------------------------------------------------------------------------------------------------
+
+
+def suspicions(m: Measurements, parameters: Iterable[Parameter], front: Front | None = None) -> tuple[str, ...]:
+    """Find columns that may be exchanged, and numbers in another unit.
+
+    `parameters` are those of the fit, requested or held.
+    """
+    wanted, front = list(parameters), front or front_of(m)
+    exchanged = _exchanged(m, wanted) if "length" in front.observes else ()
+    return (*exchanged, *_unlikely(m), *_far_from_the_table(m, wanted, front))
+
+
+def _exchanged(m: Measurements, wanted: Sequence[Parameter]) -> Iterator[str]:
+    """Compare lengths and heights, which prestress, ends and machines may lengthen."""
+    prestressed = any(one.name == "prestress" for one in wanted) or m.or_zero("prestress").any()
+    lengthened = prestressed or m.machine_stiffness is not None or m.block_length is not None
+    over = float(np.median(m.length / m.height))
+    if SUSPECT[0] <= over <= SUSPECT[1] * (5 if lengthened else 1):
+        return
+    height, length = m.heading("height"), m.heading("length")
+    may_be = [f"are {height} and {length} exchanged"] * bool(LIKELY.holds(1 / over))
+    factors = Domain(over / LIKELY.high, over / LIKELY.low, "")  # on the heights
+    for name, own, value, likely in (("height", height, 1.0, factors), ("length", length, over, LIKELY)):
+        unit = COLUMNS[name].likely_unit(value, own, likely) if m.in_si else ""
+        may_be += [f"is {own} in {unit}"] * bool(unit)
+    if may_be:
+        yield f"the lengths are about {over:.3g} times the heights: {', or '.join(may_be)}?"
+
+
+def _unlikely(m: Measurements) -> Iterator[str]:
+    """Find numbers that hardly any experiment has."""
+    for name in (name for name in NUMERIC if COLUMNS[name].likely is not None):
+        column, x = COLUMNS[name], getattr(m, name)
+        if x is None or (column.unit and not m.in_si) or column.likely is None:
+            continue
+        in_si = x * m.metres if name in IN_LC else x
+        off, own = in_si[~column.likely.holds(in_si)], m.heading(name)
+        unit = column.likely_unit(off[0], own) if off.size else ""
+        if off.size and (unit or name != "height"):  # a low sample may be what was meant
+            number = off[0] / column.names(in_si=True).get(own, 1.0)
+            yield f"{own} = {number:.4g} is {column.likely.requirement}" + f": is it in {unit}?" * bool(unit)
+
+
+def _far_from_the_table(m: Measurements, wanted: Iterable[Parameter], front: Front) -> Iterator[str]:
+    """Find priors, values and bounds far from what is stated or usual."""
+    usual = USUALLY | front.usual(m)
+    for one in (one for one in wanted if one.name in COMPARED):
+        key = next((key for key in ("prior", "value", "bounds") if getattr(one, key) is not None), None)
+        column = stated(m, one.name)
+        if key is None or (column is None and one.name not in usual):
+            continue
+        table = np.array(usual[one.name]) if column is None else column[np.isfinite(column)]
+        if one.name in HEIGHTS and one.each is None:  # shown as that of the first
+            table = table[:1]
+        low, high = getattr(one, key) if key == "bounds" else np.repeat(getattr(one, key), 2)[:2]
+        unit, widest = PARAMETERS[one.name].unit[m.in_si], 3 if column is None else 50  # m and cm are 100 apart
+        likely = Domain(table[0] / 1.5 * low / high, table[-1] * 1.5, "")  # of the lower end, in the unit that was meant
+        meant = COLUMNS[IN_UNIT[unit]].likely_unit(low, likely=likely) if unit in IN_UNIT else ""
+        of_all = IN_ALL.get(one.name, "") if m.block_width is not None and likely.holds(low / m.block_width[0]) else ""
+        if max(low / table.max(), table.min() / high) > widest or (of_all and not likely.holds(low)):
+            number = f"{low:g} to {high:g}" if key == "bounds" else f"{low:g}"
+            where = f"where {m.heading(one.name)} says {table[0]:.4g} {unit}"
+            where = where if column is not None else f"usually {table[0]:.2g} to {table[1]:.2g} {unit}"
+            asked = f"; is it in {of_all or meant}?" * bool(of_all or meant)
+            yield f"{one.name} = {number} {unit}, {where}: priors, bounds and held values are in {unit}{asked}"
+
+
+# --- other uses of measurements -----------------------------------------------------------------------------------------
+
+
+def check_used(m: Measurements, what: str) -> None:
+    """Refuse ends and machines, for a caller that ignores them.
+
+    A warning names other columns that are not used: errors of inputs, errors that measured lengths share, and gauges would have
+    changed the errors of the result.
+    """
+    if "length" not in model_of(m).observes:
+        raise MeasurementError(f"{m.source}: {what} takes first precursors, and not the forces of a sequence: leave out force")
+    for name in ("block_length", "machine_stiffness"):
+        if getattr(m, name) is not None and np.isfinite(getattr(m, name)).any():
+            raise MeasurementError(f"{m.source}, column {name}: {what} takes blocks without end, whose edge is held")
+    errors = [one for one in COLUMNS if one.endswith("_sigma") and COLUMNS[one].value in PARAMETERS]
+    unused = [m.heading(name) for name in errors if getattr(m, name) is not None and np.any(getattr(m, name))]
+    unused += ["gauges"] * (m.gauges is not None) + ["what lengths of provenance measured share"] * ("measured" in m.provenance)
+    if unused:
+        text = f"{m.source}: {what} takes the inputs as exact and errors as independent, without {', '.join(unused)}"
+        warnings.warn(text, MeasurementWarning, stacklevel=3)

@@ -1,0 +1,26 @@
+"""Kinds of data, one file each: columns, readings, predictions and words.
+
+In the order in which they build on each other:
+
+`observable`        the protocol, and the density of a prediction
+`lengths`           lengths, counts of contacts, and fronts that ran past a length
+`nucleation`        displacement and force at nucleation
+`gauges`            slip and stress along the interface after arrest
+`sequence`          forces by place, and first lengths, of the events of a block
+"""
+
+from slippulse_jax.inference.choices import Loss
+from slippulse_jax.inference.model.front import Front
+from slippulse_jax.inference.observables.gauges import Slip, Stress
+from slippulse_jax.inference.observables.lengths import Count, Length, Limit
+from slippulse_jax.inference.observables.nucleation import Displacement, Force
+from slippulse_jax.inference.observables.observable import Observable
+from slippulse_jax.inference.observables.sequence import FirstLength, PlaceForce
+
+EVERY = {one.name: one for one in (Length, Count, Limit, Displacement, Force, Slip, Stress, PlaceForce, FirstLength)}
+"""Observables by name; those of rows first."""
+
+
+def observables_of(model: Front, loss: Loss = "normal") -> tuple[Observable, ...]:
+    """Observables that a model predicts."""
+    return tuple(EVERY[name](loss=loss) for name in model.observes)
