@@ -108,8 +108,8 @@ def ends(x: ArrayLike, digits: int = 2) -> str:
 
 
 def plural(count: int, noun: str) -> str:
-    """``1 length``, ``2 lengths``."""
-    return f"{count} {noun}" + "s" * (count != 1)
+    """``1 length``, ``2 lengths``, ``2 stresses``."""
+    return f"{count} {noun}" + ("es" if noun.endswith("s") else "s") * (count != 1)
 
 
 def listed(texts: Sequence[str]) -> str:

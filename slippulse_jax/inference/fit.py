@@ -16,6 +16,7 @@ from slippulse_jax.base.status import NotConverged
 from slippulse_jax.inference.choices import Body, IntervalsBy, Loss, MeasuredEvent, Method, Sigma
 from slippulse_jax.inference.model.front import Front
 from slippulse_jax.inference.model.models import front_of
+from slippulse_jax.inference.observables import Observable
 from slippulse_jax.inference.parameters import (
     STIFFNESSES,
     Parameter,
@@ -91,6 +92,7 @@ def fit(
     event: MeasuredEvent | Front | None = None,
     body: Body | None = None,
     model_error: float | Literal["fitted"] | None = None,
+    observables: Sequence[Observable] = (),
 ) -> FitResult:
     """Fit the interface to measured first precursors.
 
@@ -143,6 +145,8 @@ def fit(
     model_error : float or "fitted", optional
         Of the forces of sequences: what the model leaves out, in μF_N; or taken from how far the forces lie from the fit, so
         that χ² is what is expected, and tests nothing. By default nothing beyond how far single series scatter.
+    observables : sequence of Observable, optional
+        Kinds of data of one's own, beside those of the model (docs/howto/extend.md).
 
     Returns
     -------
@@ -173,7 +177,7 @@ def fit(
     check_whole("seed", seed, 0)
     scaled = is_scaled(measurements, front, sigma)
     every = with_errors_of_measuring(measurements, wanted, front, size_known=not scaled)
-    problem = make_problem(measurements, checked(measurements, every, front, loss=loss))
+    problem = make_problem(measurements, checked(measurements, every, front, None, loss, observables))
     _check_scaled(problem, scaled)
     _check_calibrated(problem, intervals, scaled)
     check_model_error(problem, model_error)
@@ -213,7 +217,7 @@ def fit(
     return FitResult(
         measurements=measurements,
         problem=problem,
-        request={"free": wanted} | {name: x for name, x in arguments.items() if name in record.SETTINGS},
+        request={"free": wanted} | {name: x for name, x in arguments.items() if name in record.SETTINGS and x != ()},
         theta=found.theta,
         deviance=found.deviance,
         minima=found.minima,

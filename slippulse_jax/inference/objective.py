@@ -20,7 +20,7 @@ from slippulse_jax.inference.choices import Body, Loss, MeasuredEvent
 from slippulse_jax.inference.model.front import Front
 from slippulse_jax.inference.model.inputs import COMMON
 from slippulse_jax.inference.model.models import front_of
-from slippulse_jax.inference.observables.observable import Observations
+from slippulse_jax.inference.observables.observable import Observable, Observations
 from slippulse_jax.inference.parameters import PARAMETERS, Parameter, checked, wanted_parameters, with_errors_of_measuring
 from slippulse_jax.inference.search.learning import check_model_error, learnt, sized, with_model_error
 from slippulse_jax.inference.search.likelihood import How, Problem, density, make_problem
@@ -149,12 +149,13 @@ def objective(
     body: Body | None = None,
     model_error: float | Literal["fitted"] | None = None,
     seed: int = 0,
+    observables: Sequence[Observable] = (),
 ) -> Objective:
     """Return the function that `fit` minimises.
 
     Parameters
     ----------
-    measurements, free, bounds, fixed, loss, event, body, model_error, seed
+    measurements, free, bounds, fixed, loss, event, body, model_error, seed, observables
         As for `fit`, with priors, counts, limits, gauges, several specimens and offsets. Every length needs its σ.
 
     Returns
@@ -182,7 +183,7 @@ def objective(
     _warn_of_single_precision()
     check_choice("loss", loss, Loss)
     wanted = with_errors_of_measuring(m, wanted_parameters(m, free, bounds, fixed, front), front, size_known=True)
-    problem = make_problem(m, checked(m, wanted, front, loss=loss))
+    problem = make_problem(m, checked(m, wanted, front, None, loss, observables))
     check_model_error(problem, model_error)
     if not problem.emulates:
         return Objective(problem)

@@ -25,6 +25,7 @@ from slippulse_jax.inference.choices import Body, Loss, MeasuredEvent
 from slippulse_jax.inference.model.front import STIFFEST, Front
 from slippulse_jax.inference.model.inputs import COMMON, Inputs, Linear
 from slippulse_jax.inference.model.models import front_for, front_of, model_of
+from slippulse_jax.inference.observables import EVERY as EVERY_OBSERVABLE
 from slippulse_jax.inference.observables import Length, Observable, observables_of
 from slippulse_jax.inference.table.columns import COLUMNS, EVERY, IN_LC, NUMERIC, OVER_ALL, MeasurementError
 from slippulse_jax.inference.table.measurements import Measurements, MeasurementWarning
@@ -182,6 +183,10 @@ class ParameterSet:
         found = {name: self.linear(x, acts[name]) for name, x in base.items()}
         return Inputs(*(found.pop(name) for name in COMMON), more=found)
 
+    def observed_with(self, front: Front) -> tuple[Observable, ...]:
+        """The same observables, or those that another model predicts."""
+        return self.observables if type(front) is type(self.front) else observables_of(front, self.observables[0].loss)
+
     @property
     def names(self) -> list[str]:
         """Label of every θ."""
@@ -321,12 +326,16 @@ elasticity that is pushed over all but the lowest quarter of its side. Other pus
 
 
 def parameter_set(
-    m: Measurements, wanted: Iterable[str | Parameter], front: Front | None = None, loss: Loss = "normal"
+    m: Measurements,
+    wanted: Iterable[str | Parameter],
+    front: Front | None = None,
+    observables: Sequence[Observable] | None = None,
 ) -> ParameterSet:
     """Map the parameters of a fit to the inputs of the model.
 
     Everything that is neither fitted nor held is as stated with the measurements; "stiffness" stands for whichever stiffness
-    they determine. The model is `front`, by default that of `front_of`. What a user asks for is checked before (`checked`).
+    they determine. The model is `front`, by default that of `front_of`, with its `observables`. What a user asks for is checked
+    before (`checked`).
     """
     wanted = tuple(Parameter(one) if isinstance(one, str) else one for one in wanted)
     front, chosen = front or front_of(m), with_names(m, wanted)
@@ -344,7 +353,8 @@ def parameter_set(
             # a height is fitted as one factor on all of its rows, and shown as the height of the first
             shift = np.where(rows, -reference[rows][0], 0.0) if name in HEIGHTS else -reference
         effects.append(Effect(name, rows / unit, shift * rows / unit, index))
-    return ParameterSet(m, tuple(free), held, tuple(effects), front, observables_of(front, loss), wanted)
+    observables = observables_of(front) if observables is None else tuple(observables)
+    return ParameterSet(m, tuple(free), held, tuple(effects), front, observables, wanted)
 
 
 def acts_of(m: Measurements, name: str) -> dict[str, float]:
@@ -549,8 +559,11 @@ def checked(
     event: MeasuredEvent | Front | None = None,
     body: Body | None = None,
     loss: Loss = "normal",
+    own: Iterable[Observable] = (),
 ) -> ParameterSet:
     """Check the parameters of a fit, and map them to inputs.
+
+    With the observables of the model, and those of one's `own`.
 
     A ValueError if one is given twice, has no meaning for these measurements, is needed and missing, or its limits leave the
     domain of the model, or the range in which a domino starts.
@@ -562,11 +575,12 @@ def checked(
         _check_meaning(m, one, names)
     if missing := [name for name in front.columns if name not in m.other]:
         raise ValueError(f"{m.source}: the model reads the column {missing[0]}, which is not there")
-    _check_complete(m, chosen, front)
-    for one in observables_of(front):
+    observables = _with_own(m, observables_of(front, loss), own)
+    _check_complete(m, chosen, observables)
+    for one in observables:
         one.check(m, names)
     front.check(m, {one.name: one for one in chosen})
-    known = {name for one in observables_of(front) for name in (*one.acts, one.added)} | {"block_width"}
+    known = {name for one in observables for name in (*one.acts, one.added)} | {"block_width"}
     for name in names:
         if not PARAMETERS[name].acts.keys() & {*front.inputs, *COMMON} and name not in known:
             raise ValueError(f"parameter {name}: no part of the model, of a {front.name}")
@@ -574,10 +588,22 @@ def checked(
         if name in names:
             error = "the measurements state its error: give it a prior there, or leave it out here"
             raise ValueError(f"{name} is to be fitted, and {error}")
-    q = parameter_set(m, wanted, front, loss)
+    q = parameter_set(m, wanted, front, observables)
     _check_domain(m, q)
     _check_reached(m, q)
     return q
+
+
+def _with_own(m: Measurements, known: tuple[Observable, ...], own: Iterable[Observable]) -> tuple[Observable, ...]:
+    """Add observables of one's own; a ValueError names one that has no data, or a name that is taken."""
+    for one in (own := tuple(own)):
+        if not isinstance(one, Observable):
+            raise TypeError(f"observables: {one!r}: give instances of Observable (docs/howto/extend.md)")
+        if one.name in EVERY_OBSERVABLE or [other.name for other in own].count(one.name) > 1:
+            raise ValueError(f"observables: the name {one.name!r} is taken")
+        if not one.there(m):
+            raise ValueError(f"observables: {m.source} has no column {one.column.name(m.in_si)}, or no value in it")
+    return (*known, *own)
 
 
 def _check_meaning(m: Measurements, one: Parameter, names: Sequence[str]) -> None:
@@ -608,13 +634,13 @@ def _check_stated(m: Measurements, one: Parameter) -> None:
         raise ValueError("parameter force_offset: the measurements have no forces")
 
 
-def _check_complete(m: Measurements, chosen: Sequence[Parameter], front: Front) -> None:
+def _check_complete(m: Measurements, chosen: Sequence[Parameter], observables: Iterable[Observable]) -> None:
     """Check that what the measurements need is fitted or held."""
     stiffness, names = stiffness_name(m), [one.name for one in chosen]
     if stiffness not in names:
         option = m.option(f"--free stiffness, or --fix {stiffness}=VALUE", f"fixed={{{stiffness!r}: …}}, or free with it")
         raise ValueError(f"{stiffness} is neither fitted nor held: name it: {option}")
-    if "strength" not in names and (carrier := _carries_strength(m, front)):
+    if "strength" not in names and (carrier := _carries_strength(m, observables)):
         asked = ["stiffness" if one.name == stiffness else one.name for one in chosen if one.value is None and not one.nuisance]
         both = dict.fromkeys([*asked, "strength"])
         option = m.option(" ".join(f"--free {name}" for name in both), f"free={[*both]}".replace("'", '"'))
@@ -623,9 +649,9 @@ def _check_complete(m: Measurements, chosen: Sequence[Parameter], front: Front) 
         raise ValueError("nothing is fitted: every parameter is held")
 
 
-def _carries_strength(m: Measurements, front: Front) -> str:
+def _carries_strength(m: Measurements, observables: Iterable[Observable]) -> str:
     """Name what was measured that scales with σ_s; empty without any."""
-    own = dict.fromkeys(one.stated_by(m) for one in observables_of(front) if "strength" in one.acts and one.there(m))
+    own = dict.fromkeys(one.stated_by(m) for one in observables if "strength" in one.acts and one.there(m))
     return " and ".join(own)
 
 

@@ -28,6 +28,7 @@ from slippulse_jax.plot.fits import fit_sequence as fit_sequence
 from slippulse_jax.plot.fits import gauge_readings as gauge_readings
 from slippulse_jax.plot.fits import gauges as gauges
 from slippulse_jax.plot.fits import length_versus_stiffness as length_versus_stiffness
+from slippulse_jax.plot.fits import observable as observable
 from slippulse_jax.plot.fits import profile as profile
 from slippulse_jax.plot.fits import residuals as residuals
 from slippulse_jax.plot.fits import sequence_events as sequence_events

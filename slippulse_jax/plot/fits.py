@@ -786,6 +786,19 @@ def _best(result: "FitResult", specimen: str = "") -> str:
 
 
 @drawn
+def observable(result: "FitResult", name: str, *, ax: "Axes | None" = None) -> "Axes":
+    """Draw the data of one observable, and what is fitted.
+
+    As the observable draws itself, by its name; a ValueError for one without data.
+    """
+    one = next((one for one in result.data if one.observable == name), None)
+    if one is None:
+        raise ValueError(f"name = {name!r}: one of {', '.join(one.observable for one in result.data)}")
+    result.observable(name).draw(result, one, ax := axes(ax))
+    return ax
+
+
+@drawn
 def gauge_readings(result: "FitResult", name: str, *, ax: "Axes | None" = None) -> "Axes":
     """Draw the gauge readings of one kind, and the fitted fields.
 

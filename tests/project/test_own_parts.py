@@ -1,13 +1,16 @@
 """What a stranger adds in one file, and no other: a body, a model of a length, a column. A rule is in `front/test_own_rule`."""
 
 import functools
+from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 import pytest
 from chains import ended
+from reports import unfolded
 
 import slippulse_jax as sp
 from slippulse_jax.base.status import Outcome
@@ -15,6 +18,8 @@ from slippulse_jax.bodies.response import of_matrix
 from slippulse_jax.events.first import Relaxed
 from slippulse_jax.inference.model.front import Front
 from slippulse_jax.inference.model.inputs import Input
+from slippulse_jax.inference.observables.observable import Observable
+from slippulse_jax.inference.table.columns import Column
 
 # --- a body ---------------------------------------------------------------------------------------------------------------
 
@@ -255,3 +260,99 @@ def test_what_the_model_needs_is_named():
         sp.fit(table(), event=PartOfHeight()).save("nowhere.json")
     with pytest.raises(ValueError, match=r"means part of the height = 2 .*: must lie in 0.1 to 1"):
         sp.fit(table(np.full(5, 2.0)), event=PartOfHeight())
+
+
+# --- an observable --------------------------------------------------------------------------------------------------------
+
+
+class EdgeStress(Observable):
+    """Stress at the pushed edge after the event."""
+
+    name, noun = "edge_stress", "edge stress"
+    column = Column("edge_stress", "MPa")
+    acts: ClassVar = {"strength": 1.0}
+
+    def predict(self, model, inputs, relaxed):
+        _, stress = model.fields(inputs, jnp.maximum(model.length(inputs, relaxed), 1), 128)
+        return stress[0]
+
+
+STRENGTH, AREAL = 2e6, 1e10
+
+
+@pytest.fixture(scope="module")
+def edges():
+    """Lengths and edge stresses of six heights, with 1 % and 3 % of noise, by the record of each front."""
+    random, height = np.random.default_rng(0), np.arange(25.0, 80, 10)
+    slider = sp.Slider.from_material(
+        height=1e-3 * height, correlation_length=1e-3, areal_stiffness=AREAL, young=3e9, poisson=0.3
+    )
+    length = np.asarray(sp.precursor_length(slider))
+    numbers = zip(*(np.broadcast_to(x, height.shape) for x in (slider.height, slider.stiffness)), strict=True)
+    edge = STRENGTH * np.array([float(sp.first_precursor(sp.Slider(h, k, 0.3)).stress[0]) for h, k in numbers])
+    noise = 1 + np.array([[0.01], [0.03]]) * random.standard_normal((2, 6))
+    columns = {
+        "height_mm": height,
+        "correlation_length_um": 1000,
+        "poisson": 0.3,
+        "young_GPa": 3,
+        "length_mm": length * noise[0],
+    }
+    columns |= {"length_sigma_mm": 0.01 * length, "edge_stress_MPa": edge * noise[1] * 1e-6}
+    return pd.DataFrame(columns | {"edge_stress_sigma_MPa": 0.03e-6 * np.array(edge)})
+
+
+@pytest.mark.ci
+def test_an_observable_of_ones_own_is_in_the_fit_and_wherever_it_is_shown(edges):
+    """Its column, its line in the report and the DataFrame, its picture; the objective is half the deviance."""
+    found = sp.fit(edges, ["stiffness", "strength"], observables=[EdgeStress()], intervals="profile")
+    for name, truth in (("areal_stiffness", AREAL), ("strength", STRENGTH)):
+        assert abs(found.values[name] - truth) < 3 * found.stderrs[name]
+    assert 0.01 < found.stderrs["strength"] / STRENGTH < 0.03
+    report = found.report()
+    assert "From 6 lengths and 6 edge stresses of" in unfolded(report)
+    assert "edge stress  6 readings, chi-squared" in report
+    assert "not used" not in report
+    frame = found.to_dataframe()
+    np.testing.assert_allclose(frame.edge_stress_MPa, edges.edge_stress_MPa)
+    off = (frame.edge_stress_fitted_MPa - frame.edge_stress_MPa) / frame.edge_stress_sigma_MPa
+    np.testing.assert_allclose(off, frame.edge_stress_residual, rtol=1e-9)
+    ax = sp.plot.observable(found, "edge_stress")
+    assert ax.get_ylabel() == "edge stress (MPa)"
+    with jax.enable_x64(True):
+        f = sp.objective(edges, ["stiffness", "strength"], observables=[EdgeStress()])
+        best = dict(zip(f.names, found.theta, strict=True))
+        assert 2 * float(f(best)) == pytest.approx(found.deviance, rel=1e-6)
+        assert max(abs(float(x)) for x in jax.grad(f)(best).values()) < 1e-2
+        assert np.isfinite(jax.vmap(lambda x: f({**best, "strength": x}))(found.theta[1] + jnp.array([-0.1, 0.1]))).all()
+    assert found.bootstrap(20).theta.shape == (20, 2)
+
+
+@pytest.mark.parametrize(
+    ("changed", "given", "message"),
+    [
+        ({}, {"free": "stiffness"}, r"column edge_stress_MPa: what it states scales with σ_s: fit strength too"),
+        (
+            {"edge_stress_sigma_MPa": None},
+            {},
+            r"row 0, column edge_stress_sigma_MPa: missing: the value beside it has no standard",
+        ),
+        ({"edge_stress_MPa": None}, {}, r"table has no column edge_stress_MPa, or no value in it"),
+        ({"edge_stress_MPa": "much"}, {}, r"row 0, column edge_stress_MPa: 'much': must be a number"),
+        ({"edge_stress_sigma_MPa": 0.0}, {}, r"row 0, column edge_stress_sigma_MPa: 0.0: the standard error must be positive"),
+        ({}, {"observables": [EdgeStress]}, r"give instances of Observable"),
+        ({}, {"observables": [EdgeStress(), EdgeStress()]}, r"the name 'edge_stress' is taken"),
+    ],
+)
+def test_an_observable_without_its_data_is_refused(edges, changed, given, message):
+    for name, x in changed.items():
+        edges = edges.drop(columns=name) if x is None else edges.assign(**{name: x})
+    given = {"free": ["stiffness", "strength"], "observables": [EdgeStress()]} | given
+    with pytest.raises((ValueError, TypeError), match=message):
+        sp.fit(edges, **given)
+
+
+def test_a_fit_with_an_observable_of_ones_own_is_in_no_file(edges, tmp_path):
+    found = sp.fit(edges, ["stiffness", "strength"], observables=[EdgeStress()], intervals="profile")
+    with pytest.raises(ValueError, match="observables of one's own, which no file can hold"):
+        found.save(tmp_path / "fit.json")

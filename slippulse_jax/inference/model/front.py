@@ -259,9 +259,10 @@ class Front:
     def fields(self, inputs: Inputs, stopped: Array, count: int) -> tuple[Array, Array]:
         """Slip and stress of the first contacts when `stopped` have broken.
 
-        Traced, each of shape (count,).
+        Traced, each of shape (count,); inf where that is not beyond all that have broken, on which fields depend.
         """
-        return slip_and_stress(sliders(inputs, jnp.exp), inputs.prestress, stopped, count)
+        slip, stress = slip_and_stress(sliders(inputs, jnp.exp), inputs.prestress, stopped, count)
+        return jnp.where(stopped < count, slip, jnp.inf), jnp.where(stopped < count, stress, jnp.inf)
 
     def regime(self, inputs: Inputs) -> Regime:
         """Find b and 1/κ_2 of each row of the inputs."""

@@ -100,7 +100,12 @@ class Observable:
 
     def stated_by(self, m: Measurements) -> str:
         """What states it, for messages."""
-        return f"{m.source}, column {m.heading(self.column.quantity)}: what it states"
+        return f"{m.source}, column {self.heading(m)}: what it states"
+
+    def heading(self, m: Measurements) -> str:
+        """Name of its column in the table."""
+        own = m.heading(self.column.quantity)
+        return next((name for name in (own, *m.other) if name in self.column.names(m.in_si)), own)
 
     def check(self, m: Measurements, names: Collection[str]) -> None:
         """Refuse rows and parameters without a meaning; a ValueError names them."""
@@ -118,12 +123,16 @@ class Observable:
 
         From the columns that measurements have, or those that they kept as text.
         """
-        error = Column(f"{self.column.quantity}_sigma", self.column.unit, self.column.plain, ERROR_OF_READING)
-        value, sigma = (_numbers(m, column) for column in (self.column, error))
+        value, sigma = (_numbers(m, column) for column in (self.column, self._error))
         for i in np.flatnonzero(np.isfinite(value) & np.isnan(sigma)).tolist():
-            own = error.name(m.in_si)
+            own = self._error.name(m.in_si)
             raise MeasurementError(f"{m.place(i)}, column {own}: missing: the value beside it has no standard error")
         return value, sigma
+
+    @property
+    def _error(self) -> Column:
+        """Column of the errors of its values."""
+        return Column(f"{self.column.quantity}_sigma", self.column.unit, self.column.plain, ERROR_OF_READING)
 
     def observations(
         self, q: "ParameterSet", rows: np.ndarray, value: np.ndarray, sigma: np.ndarray, inputs: Inputs, **more: np.ndarray
@@ -223,6 +232,10 @@ class Observable:
         """What would be read of values with errors."""
         return drawn
 
+    def uses(self, m: Measurements) -> set[str]:
+        """Columns that measurements kept as text, and that it reads."""
+        return {*m.other} & {name for one in (self.column, self._error) for name in one.names(m.in_si)}
+
     # --- words and pictures
 
     @property
@@ -244,8 +257,7 @@ class Observable:
 
     def in_table(self, m: Measurements) -> tuple[np.ndarray, str]:
         """Factor to the unit of the table, (n,), and that unit."""
-        own, column = m.heading(self.column.quantity), self.column
-        own = next((name for name in (own, *m.other) if name in column.names(m.in_si)), own)
+        own, column = self.heading(m), self.column
         size = column.names(in_si=True).get(own)
         if size is None:
             return np.ones(len(m)), column.si
@@ -264,6 +276,16 @@ class Observable:
     def table(self, result: "FitResult") -> list[list[str]]:
         """Rows of the table of a report, the heading first."""
         raise NotImplementedError
+
+    def draw(self, result: "FitResult", one: "Compared", ax: Any) -> None:
+        """Draw what was read ± σ, and what is fitted, against the height of the block."""
+        m, (value, sigma, fitted, unit) = result.measurements, self.shown(result.measurements, one)
+        scale, of_height = m.unit
+        x = (m.height * scale)[one.measurement]
+        ax.errorbar(x, value, sigma, fmt="o", capsize=2, label="measured ± σ")
+        ax.plot(x, fitted, "_", ms=10, mew=2, label="fitted")
+        ax.set(xlabel=f"height, $H$ ({of_height})", ylabel=f"{self.noun} ({unit})" if unit else self.noun)
+        ax.legend(frameon=False)
 
     def notes(self, result: "FitResult") -> Iterator[str]:
         """Remarks to read before using the numbers."""

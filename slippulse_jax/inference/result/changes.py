@@ -149,7 +149,7 @@ def _scattered(wanted: Iterable[Parameter], scatter: float) -> list[Parameter]:
 def _followed_again(result: "FitResult", wanted: Sequence[Parameter]) -> tuple[Problem, np.ndarray, float]:
     """Fit sequences with other parameters: the problem, θ, and its deviance."""
     m, error = result.measurements, result.request.get("model_error")
-    problem = make_problem(m, parameter_set(m, wanted, loss=result.problem.loss))
+    problem = make_problem(m, parameter_set(m, wanted, observables=result.parameters.observables))
     problem = with_model_error(problem, error) if isinstance(error, float | int) else problem
     problem = learnt(problem, result.request["seed"])
     theta = first_look(problem, 0)
@@ -185,7 +185,10 @@ def _shifted(result: "FitResult", changed: dict[str, list[Measurements]]) -> dic
 
 def _near(problem: Problem, m: Measurements, theta: np.ndarray, points: Points | None = None) -> Problem:
     """The problem of other measurements, with series at θ, or those known."""
-    other = with_model_error(make_problem(m, parameter_set(m, problem.parameters.wanted)), model_error_of(problem))
+    other = with_model_error(
+        make_problem(m, parameter_set(m, problem.parameters.wanted, observables=problem.parameters.observables)),
+        model_error_of(problem),
+    )
     return followed(other, theta) if points is None else dataclasses.replace(other, points=points)
 
 
@@ -257,7 +260,7 @@ def _refitted(result: "FitResult", m: Measurements) -> tuple[np.ndarray, float]:
     """θ and deviance of the first minimum nearby, for other measurements."""
     q = result.parameters
     starts = np.array([result.theta, *(root.theta for root in result.minima)])
-    problem = _with_sigma(make_problem(m, parameter_set(m, q.wanted, q.front, result.problem.loss)), _sigma(result, m))
+    problem = _with_sigma(make_problem(m, parameter_set(m, q.wanted, q.front, q.observables)), _sigma(result, m))
     found = search(problem, method="lm", max_steps=MOST_STEPS, seed=0, extra=starts)
     first = next(iter(ordered(problem, found.minima)), found)
     return first.theta, first.deviance
@@ -299,7 +302,7 @@ def _again(
         theta, fits = None, 0
         try:
             model = front or front_of(m, q.front.event, q.front.body)
-            problem = make_problem(m, changed := parameter_set(m, wanted or q.wanted, model, result.problem.loss))
+            problem = make_problem(m, changed := parameter_set(m, wanted or q.wanted, model, q.observed_with(model)))
             problem = _with_sigma(problem, _sigma(result, m)) if result.scaled else problem
             between = None if result.scaled else between_contacts(problem, seed)
             if between is not None:
@@ -615,7 +618,7 @@ def _with(result: "FitResult", wanted: list[Parameter]) -> tuple[float, int]:
     if result.problem.emulates:
         problem, theta, deviance = _followed_again(result, wanted)
         return deviance - problem.perfect(theta), problem.p - result.problem.p
-    q = parameter_set(m, wanted, front, result.problem.loss)
+    q = parameter_set(m, wanted, front, result.parameters.observables)
     problem = _with_sigma(make_problem(m, q), result.sigma)
     ends = minimise(problem, _starts(result, q), q.low, q.high, max_steps=MOST_STEPS)
     return 2 * float(ends.value.min()) - problem.perfect(ends.theta[np.argmin(ends.value)]), problem.p - result.problem.p

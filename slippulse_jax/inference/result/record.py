@@ -37,7 +37,7 @@ Record = TypeVar("Record")
 
 SCHEMA = 2
 """Version of the record: larger where its form has changed."""
-SETTINGS = ("loss", "sigma", "method", "max_steps", "seed", "intervals", "event", "body", "model_error")
+SETTINGS = ("loss", "sigma", "method", "max_steps", "seed", "intervals", "event", "body", "model_error", "observables")
 """Arguments of a fit that a request holds beside its parameters."""
 LARGEST = 64 * 2**20
 """Bytes of the largest request or saved fit that is read."""
@@ -109,7 +109,7 @@ def to_dict(result: "FitResult") -> dict[str, Any]:
 
     Open ends and missing numbers are None. The record itself, by the fields of `FitResult`, stands after what follows from it.
     """
-    q = result.parameters
+    q, request = result.parameters, as_request(result.request)
     units = {one.label: one.unit for one in q.free}
     follows = {
         "schema": SCHEMA,
@@ -156,7 +156,7 @@ def to_dict(result: "FitResult") -> dict[str, Any]:
         "data_sha256": data_hash(result.measurements),
         "versions": versions(),
     }
-    return plain(follows) | encode(result) | {"request": as_request(result.request)} | after
+    return plain(follows) | encode(result) | {"request": request} | after
 
 
 def of_dict(kind: type[Record], content: dict[str, Any]) -> tuple[Record, dict[str, Any]]:
@@ -269,6 +269,8 @@ def as_request(request: dict[str, Any]) -> dict[str, Any]:
         one.name: {field.name: x for field in settable if (x := getattr(one, field.name)) is not field.default}
         for one in request["free"]
     }
+    if request.get("observables"):
+        raise ValueError("observables of one's own, which no file can hold: keep the table, and fit it again")
     if isinstance(request.get("event"), Front):
         raise ValueError("event is a model of one's own, which no file can hold: keep the table, and fit it again")
     settings = {key: value for key, value in request.items() if key != "free" and value is not None}

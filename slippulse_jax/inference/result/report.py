@@ -718,7 +718,8 @@ def notes(result: "FitResult") -> list[str]:
 
 def _of_data(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
     m, p = result.measurements, result.problem.p
-    if unused := [name for name in m.other if name not in result.parameters.front.columns]:
+    used = {*result.parameters.front.columns}.union(*(one.uses(m) for one in result.parameters.observables))
+    if unused := [name for name in m.other if name not in used]:
         yield f"columns kept but not used: {', '.join(unused)}"
     for table in filter(None, (m, m.gauges)):
         if skipped := table.skipped:
