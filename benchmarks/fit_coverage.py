@@ -88,7 +88,7 @@ def coverage(studies: int, specimens: int, regime: str, seed: int, *, careful: b
         plain = fit(m, intervals="profile")
         intervals = {"profile": plain.intervals["stiffness"]}
         if careful:
-            found, _ = calibrated(plain.problem, 0, plain.curves[plain.names[0]], number)
+            found, _ = calibrated(plain.problem, number)
             intervals["calibrated"] = {level: _values(pieces) for level, pieces in found.items()}
         best = plain.roots[0] if plain.roots else None
         error = best and best.stderrs["stiffness"]

@@ -130,7 +130,7 @@ def fit(
         Seed of the starts where several parameters are fitted, and of simulations.
     intervals : {"auto", "profile", "calibrated"}
         Rises of the deviance from χ²; or from measurements simulated at every value, which keep their coverage near the
-        longest attainable length too (`slippulse_jax.inference.search.intervals`; one or two parameters, plain lengths). By
+        longest attainable length too (`slippulse_jax.inference.search.intervals`; one parameter, plain lengths). By
         default simulated where valleys of the deviance compete, or its shape is far from a parabola.
     event : {"domino", "full", "crack", "sequence"} or Front
         What was measured: the first front; or the whole event, in which contacts may break again where the areal stiffness is
@@ -197,7 +197,7 @@ def fit(
     simulated: dict[int, tuple[Intervals, tuple[float, float]]] = {}
     if explored.profiled is None and not scaled and to_be_simulated(problem, intervals, found, profiled):
         with _progress(problem) as shown:
-            simulated = {j: calibrated(shown, j, curve, seed) for j, curve in found.curves.items()}
+            simulated = {0: calibrated(shown, seed)}
     problem = dataclasses.replace(problem, parameters=whole)  # and not only where a model was followed
     longest, longest_at = problem.parameters.attainable(found.theta)
     # counts at odds are named; the search of such a misfit need not converge
@@ -340,7 +340,7 @@ def _check_calibrated(problem: Problem, intervals: str, scaled: bool) -> None:
     if scaled:
         raise ValueError("calibrated intervals need absolute standard errors: sigma = 'absolute'")
     if not can_be_calibrated(problem):
-        raise ValueError("calibrated intervals: for one or two parameters, and values with Gaussian errors")
+        raise ValueError("calibrated intervals: for one parameter, and values with Gaussian errors")
 
 
 def _of_counts(problem: Problem, ranges: list[Interval]) -> Found:

@@ -595,7 +595,10 @@ def checked(
 
 
 def _with_own(m: Measurements, known: tuple[Observable, ...], own: Iterable[Observable]) -> tuple[Observable, ...]:
-    """Add observables of one's own; a ValueError names one that has no data, or a name that is taken."""
+    """Add observables of one's own.
+
+    A ValueError names one that has no data, or a name that is taken.
+    """
     for one in (own := tuple(own)):
         if not isinstance(one, Observable):
             raise TypeError(f"observables: {one!r}: give instances of Observable (docs/howto/extend.md)")

@@ -795,6 +795,7 @@ def observable(result: "FitResult", name: str, *, ax: "Axes | None" = None) -> "
     if one is None:
         raise ValueError(f"name = {name!r}: one of {', '.join(one.observable for one in result.data)}")
     result.observable(name).draw(result, one, ax := axes(ax))
+    legend_above(ax)
     return ax
 
 

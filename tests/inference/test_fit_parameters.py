@@ -21,7 +21,7 @@ from slippulse_jax.base.status import Outcome
 from slippulse_jax.inference.fit import wanted_parameters
 from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.model.slider import FirstFront
-from slippulse_jax.inference.observables import EVERY, Count, Length
+from slippulse_jax.inference.observables import EVERY, Count, Length, observables_of
 from slippulse_jax.inference.observables.observable import Observations, loss_of
 from slippulse_jax.inference.parameters import checked, parameter_set
 from slippulse_jax.inference.result.samples import bootstrap
@@ -65,7 +65,7 @@ def problem_of_everything(loss):
         Parameter("stiffness", each="specimen"), "poisson", "prestress", "strength", "offset",
         Parameter("correlation_length", prior=(1e-5, 1e-6)), Parameter("young", prior=(3e9, 1e8)), Parameter("model_factor", prior=(1, 0.1)),
     ]  # fmt: skip
-    q = parameter_set(m, asked, loss=loss)
+    q = parameter_set(m, asked, observables=observables_of(FirstFront(), loss))
     problem = make_problem(m, q)
     value = {"poisson": 0.31, "prestress": 0.05, "offset": 1e-4}
     start = {

@@ -21,6 +21,7 @@ from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.fit import FitResult
 from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.model.slider import FirstFront
+from slippulse_jax.inference.observables import observables_of
 from slippulse_jax.inference.parameters import parameter_set
 from slippulse_jax.inference.result.samples import Samples
 from slippulse_jax.inference.search.likelihood import make_problem
@@ -35,7 +36,7 @@ def test_density_is_the_objective(loss):
     m = Measurements(
         height=[20, 30, 40], poisson=0.3, length=[15, 24, 30], length_sigma=[0.5, 0.6, 0.7], kind=["length", "whole", "at_least"]
     )  # fmt: skip
-    q = parameter_set(m, ["stiffness", Parameter("poisson", prior=(0.3, 0.02))], loss=loss)
+    q = parameter_set(m, ["stiffness", Parameter("poisson", prior=(0.3, 0.02))], observables=observables_of(FirstFront(), loss))
     problem = make_problem(m, q)
     theta = np.random.default_rng(0).uniform([-7, 0.2], [-4, 0.4], (4, 2))
     density = jax.jit(jax.vmap(problem.traced))(theta)

@@ -7,6 +7,8 @@ import random_tables
 import slippulse_jax as sp
 from benchmarks.regimes import counts, roots_missed, run, two
 from slippulse_jax.base.status import Outcome
+from slippulse_jax.inference.model.slider import FirstFront
+from slippulse_jax.inference.observables import observables_of
 from slippulse_jax.inference.parameters import parameter_set
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.inference.search.intervals import allowed_by_counts
@@ -117,7 +119,7 @@ def test_a_minimum_at_the_edge_of_a_count_is_found(height):
 def test_second_derivative_next_to_the_edge_of_a_count(loss):
     """Where the deviance turns from a floor to a wall within 2e-6 of ln k: of the blurred edge, and not of a step over it."""
     m = beside_a_count(2000.0)
-    problem = make_problem(m, parameter_set(m, ["stiffness"], loss=loss))
+    problem = make_problem(m, parameter_set(m, ["stiffness"], observables=observables_of(FirstFront(), loss)))
     theta = np.log(sp.fit(m).intervals["stiffness"][0.95][0].low)
     at = problem(np.array([[theta], [theta + 1e-6]]), order=2)
     step = 1e-9

@@ -202,16 +202,16 @@ def test_an_emulator_is_smooth_and_knows_its_scatter():
     emulator = through(Points(np.zeros((200, 0)), place[None], values[None], coarse[None]), 250, tuned=True)
     one = jax.tree.map(lambda column: column[0], emulator)
     with jax.enable_x64(True):
-        mean, _, near = jax.vmap(one)(place)
+        mean, _, unsure = jax.vmap(one)(place)
         np.testing.assert_allclose(mean[:, 0], exact, atol=0.01)  # of 2 to 5
         assert np.sqrt(np.mean((mean[:, 2] - exact) ** 2)) < 0.01  # of scatter of 0.02
-        assert near.min() > 1
+        assert np.mean(unsure < 0.3) > 0.9  # more at the corners
         middle = np.array([place[0, 0], 0.0, -7.0, place[0, 3]])
         found = np.asarray(one(middle).covariance)
         assert np.sqrt(found[1, 1]) == pytest.approx(0.01, rel=0.25)
         assert found[1, 2] / np.sqrt(found[1, 1] * found[2, 2]) < -0.9
         assert np.sqrt(found[2, 2]) == pytest.approx(np.hypot(0.02, 0.25 * 5 * 0.0005), rel=0.25)
-        assert one(middle + np.array([0, 500.0, 0, 0])).near < 1e-3
+        assert one(middle + np.array([0, 500.0, 0, 0])).unsure > 1
         # in every mode, and the second derivatives too
         slope = jax.jacrev(lambda at: one(at).covariance)(middle)
         np.testing.assert_allclose(slope, jax.jacfwd(lambda at: one(at).covariance)(middle), rtol=1e-6, atol=1e-12)

@@ -42,6 +42,7 @@ PANEL = {
     "profile": lambda a, **o: plot.profile(a.each, a.each.names[0], **o),
     "confidence_region": lambda a, **o: plot.confidence_region(a.each, *a.each.names[:2], nodes=9, **o),
     "gauge_readings": lambda a, **o: plot.gauge_readings(a.gauges, "stress", **o),
+    "observable": lambda a, **o: plot.observable(a.of("pmma_block"), "length", **o),
     "fit_sequence": lambda a, **o: plot.fit_sequence(a.of("sequence"), **o),
     "sequence_events": lambda a, **o: plot.sequence_events(a.of("sequence"), **o),
 }

@@ -278,14 +278,13 @@ class Observable:
         raise NotImplementedError
 
     def draw(self, result: "FitResult", one: "Compared", ax: Any) -> None:
-        """Draw what was read ± σ, and what is fitted, against the height of the block."""
+        """Draw readings ± σ, and fitted values, against the height."""
         m, (value, sigma, fitted, unit) = result.measurements, self.shown(result.measurements, one)
         scale, of_height = m.unit
         x = (m.height * scale)[one.measurement]
         ax.errorbar(x, value, sigma, fmt="o", capsize=2, label="measured ± σ")
         ax.plot(x, fitted, "_", ms=10, mew=2, label="fitted")
         ax.set(xlabel=f"height, $H$ ({of_height})", ylabel=f"{self.noun} ({unit})" if unit else self.noun)
-        ax.legend(frameon=False)
 
     def notes(self, result: "FitResult") -> Iterator[str]:
         """Remarks to read before using the numbers."""

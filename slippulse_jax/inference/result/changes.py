@@ -157,10 +157,10 @@ def _followed_again(result: "FitResult", wanted: Sequence[Parameter]) -> tuple[P
 
 
 def _shifted(result: "FitResult", changed: dict[str, list[Measurements]]) -> dict[str, dict[str, tuple[float, ...]]]:
-    """Moves by other tables: fits of data that differ by what these change.
+    """Moves by other tables, fitted to data that these change.
 
-    That is the mean over series near the fit, each followed with the table and without: one alone would differ by the order of
-    its breaks.
+    By the mean over series near the fit, each followed with the table and without: one alone would differ by the order of its
+    breaks.
     """
     problem, q, at = result.problem, result.parameters, result.theta[None]
     covariance = np.linalg.pinv(problem(at, order=1).metric[0], rcond=1e-9, hermitian=True)

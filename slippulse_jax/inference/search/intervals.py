@@ -7,9 +7,8 @@ minimum, in as many disjoint pieces as there are.
 
 Near the longest attainable length, and where two valleys compete, the rise of the deviance at the true value is not
 distributed as χ². Feldman and Cousins (Phys. Rev. D 57, 3873, 1998) take the distribution that it does have: at each value
-measurements are drawn, each is fitted, and the quantile of the rise replaces that of χ² (`calibrated`). A second parameter
-has its best value there. Every such fit is a search of one table of predictions, in units of σ, over all values that are not
-hopeless; a prior is a datum like any other.
+measurements are drawn, each is fitted, and the quantile of the rise replaces that of χ² (`calibrated`), where one parameter is
+fitted. Every such fit is a search of one table of predictions, in units of σ; a prior is a datum like any other.
 
 A count without an error of its own holds or does not: n contacts are counted where n − 1 < ℓ ≤ n, one also where no domino
 starts. For one fitted parameter the ends of that set are crossings of ℓ with n − 1 and n, on either side of every peak; with
@@ -18,7 +17,6 @@ are at odds.
 """
 
 import dataclasses
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -37,18 +35,15 @@ STARTS_KEPT = 2  # per node, and of the low points of a grid
 EXCLUDED = 100.0  # expected deviance above the least, above which a node is left out, or not minimised to the end
 CROSSED = 1e-5  # distance of the root of the rise from that of a limit at which an end is found: 10⁻⁵ of the interval
 LARGEST = 1e12  # rise that a crossing is sought with; a measured length whose event does not stop has none
-SIMULATIONS = {1: 2000, 2: 500}
-"""By the number of fitted parameters."""
-RESOLUTION = {1: 0.15, 2: 0.3}
+SIMULATIONS = 2000
+RESOLUTION = 0.15
 """Spacing of the table of predictions, in standard errors of all measurements together."""
-MOST_NODES, MOST_VALUES = {1: 2000, 2: 120}, {1: 60, 2: 30}
+MOST_NODES, MOST_VALUES = 2000, 60
 ONE_THREAD = 4 * 2**16
 """Multiplications up to which OpenBLAS uses one thread: larger products, split over two, took ten times as long."""
 STRAIGHT = 1.15
 """Ratio of a profile's limit at the highest level to that of a parabola from which on intervals are simulated."""
 HOPELESS = 25.0  # rise of D above which a value is excluded at any calibration
-APART = 2.0  # change of the predictions, in standard errors of all together, within a part of the range of a second parameter
-PATH = 1.5  # most length of a path of the predictions over that of the straight line between its ends
 NARROWEST = 1e-10  # part of the range of a parameter that is not divided
 SLIGHT = 1e-3  # difference of two deviances that is none
 HALVINGS = 48  # of a bracket between two nodes: to rounding
@@ -219,19 +214,9 @@ def profile_2d(problem: Problem, i: int, j: int, first: np.ndarray, second: np.n
 # --- by simulation ----------------------------------------------------------------------------------------------------
 
 
-class Predictions(NamedTuple):
-    """Predictions at M values of one parameter, for several of another."""
-
-    node: np.ndarray  # (M,), θ of the parameter
-    best: np.ndarray  # (M,), row of the best value of the other
-    theta: np.ndarray  # (G, p)
-    column: np.ndarray  # (G,), which of the M values
-    off: np.ndarray  # (G, n), predictions less what was measured, in σ, the parameters with priors last
-
-
 def can_be_calibrated(problem: Problem) -> bool:
-    """Whether one or two parameters are fitted to Gaussian values."""
-    return problem.p <= 2 and problem.simulable
+    """Whether one parameter is fitted to Gaussian values."""
+    return problem.p == 1 and problem.simulable
 
 
 def to_be_simulated(problem: Problem, wanted: IntervalsBy, found: Found, pieces: dict[int, Intervals]) -> bool:
@@ -259,142 +244,63 @@ def to_be_simulated(problem: Problem, wanted: IntervalsBy, found: Found, pieces:
     return False
 
 
-def calibrated(problem: Problem, j: int, curve: Curve, seed: int) -> tuple[Intervals, tuple[float, float]]:
-    """Simulate the intervals of θ_j, of which `curve` is the profile.
+def calibrated(problem: Problem, seed: int) -> tuple[Intervals, tuple[float, float]]:
+    """Simulate the intervals of the parameter.
 
-    With the shares of estimates within 1 and 1.96 standard errors of its best value. At each of a number of values of θ_j
+    With the shares of estimates within 1 and 1.96 standard errors of its best value. At each of a number of values
     measurements are drawn, `SIMULATIONS` times, and fitted by a table of predictions.
     """
-    table = _along(problem) if problem.p == 1 else _across(problem, j, curve)
-    deviance = (table.off**2).sum(axis=1)
-    rise = np.minimum.reduceat(deviance, np.searchsorted(table.column, np.arange(len(table.node)))) - deviance.min()
+    node, off = _along(problem)
+    deviance = (off**2).sum(axis=1)
+    rise = deviance - deviance.min()
     candidates = np.nonzero(rise < HOPELESS)[0]
-    places = np.linspace(0, len(candidates) - 1, MOST_VALUES[problem.p]).round().astype(int)
+    places = np.linspace(0, len(candidates) - 1, MOST_VALUES).round().astype(int)
     chosen = np.unique(np.concatenate([candidates[places], [int(np.argmin(rise))]]))
-    noise = np.random.default_rng(seed).standard_normal((SIMULATIONS[problem.p], table.off.shape[1]), np.float32)
-    found = [_refitted(table, int(one), noise) for one in chosen]
+    noise = np.random.default_rng(seed).standard_normal((SIMULATIONS, off.shape[1]), np.float32)
+    found = [_refitted(off, int(one), noise) for one in chosen]
     critical = np.quantile(np.array([rises for rises, _ in found]), LEVELS, axis=1)
     intervals = {
-        level: _below(table.node, rise - np.interp(table.node, table.node[chosen], own))
-        for level, own in zip(LEVELS, critical, strict=True)
+        level: _below(node, rise - np.interp(node, node[chosen], own)) for level, own in zip(LEVELS, critical, strict=True)
     }
     best = int(np.argmin(rise))
-    estimates = table.node[found[int(np.searchsorted(chosen, best))][1]]
-    stderr = np.interp(estimates, table.node[chosen], _standard_errors(problem, j, table.theta[table.best[chosen]]))
-    off = np.abs(estimates - table.node[best]) / stderr
-    return intervals, (float((off <= 1).mean()), float((off <= 1.96).mean()))
+    estimates = node[found[int(np.searchsorted(chosen, best))][1]]
+    information = problem(node[chosen, None], order=1).metric[:, 0, 0]
+    stderr = np.interp(estimates, node[chosen], 1 / np.sqrt(np.maximum(information, 1e-300)))
+    away = np.abs(estimates - node[best]) / stderr
+    return intervals, (float((away <= 1).mean()), float((away <= 1.96).mean()))
 
 
-def _steps(off: np.ndarray) -> np.ndarray:
-    """Distance from each row to the next, in σ."""
-    return np.sqrt((np.diff(off, axis=0) ** 2).sum(axis=1))
+def _along(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Choose M values, evenly spaced in the predictions.
 
-
-def _along(problem: Problem) -> Predictions:
-    """Choose values of a single parameter, evenly spaced in the predictions."""
+    With the predictions less what was measured, in σ, (M, n).
+    """
     low, high = problem.parameters.low[0], problem.parameters.high[0]
     node = np.linspace(low, high, 801)
     for _ in range(2):
-        path = np.concatenate([[0], np.cumsum(_steps(problem.residuals(node[:, None])))])
-        count = int(np.clip(path[-1] / RESOLUTION[1], 400, MOST_NODES[1]))
+        steps = np.sqrt((np.diff(problem.residuals(node[:, None]), axis=0) ** 2).sum(axis=1))
+        path = np.concatenate([[0], np.cumsum(steps)])
+        count = int(np.clip(path[-1] / RESOLUTION, 400, MOST_NODES))
         # values stay apart where the predictions are constant too, so that an open side is seen
         path = path / max(path[-1], 1e-300) + 0.1 * (node - low) / (high - low)
         node = np.interp(np.linspace(0, path[-1], count), path, node)
-    every = np.arange(len(node))
-    return Predictions(node, every, node[:, None], every, problem.residuals(node[:, None]))
+    return node, problem.residuals(node[:, None])
 
 
-def _across(problem: Problem, j: int, curve: Curve) -> Predictions:
-    """Choose values of θ_j along its profile, and of the other."""
-    near = curve.deviance <= curve.deviance.min() + HOPELESS
-    profile = np.nonzero(near)[0]
-    profile = np.arange(max(profile[0] - 1, 0), min(profile[-1] + 2, len(near)))
-    path = np.concatenate([[0], np.cumsum(np.minimum(_steps(problem.residuals(curve.theta[profile])), 3.0))])
-    path += 1e-3 * np.arange(len(path))
-    count = int(np.clip(path[-1] / RESOLUTION[2], 12, MOST_NODES[2]))
-    node = np.interp(np.linspace(0, path[-1], count), path, curve.node[profile])
-    ridge = np.stack([np.interp(node, curve.node, column) for column in curve.theta.T], axis=1)
-    other = 1 - j
-    found = _not_hopeless(problem, j, node, ridge[:, other], float(curve.deviance.min()) + HOPELESS)
-    steps = _steps(problem.residuals(_points(node, found, j)))
-    starts = np.cumsum([0] + [len(y) for y in found])
-    for i, y in enumerate(found):
-        # gaps between valleys are skipped
-        path = np.concatenate([[0], np.cumsum(np.minimum(steps[starts[i] : starts[i + 1] - 1], 20.0))])
-        count = int(np.clip(path[-1] / RESOLUTION[2], 2, 80))
-        found[i] = np.append(np.interp(np.linspace(0, path[-1], count), path, y), ridge[i, other])
-    theta = _points(node, found, j)
-    off = problem.residuals(theta)
-    deviance = (off**2).sum(axis=1)
-    starts = np.cumsum([0] + [len(y) for y in found])
-    best = np.array([a + int(np.argmin(deviance[a:b])) for a, b in pairwise(starts)])
-    return Predictions(node, best, theta, np.repeat(np.arange(len(node)), np.diff(starts)), off)
-
-
-def _not_hopeless(problem: Problem, j: int, node: np.ndarray, ridge: np.ndarray, limit: float) -> list[np.ndarray]:
-    """Values of the other parameter at each θ_j, in increasing order.
-
-    Those with a deviance below the limit, and on the ridge. They end parts of its range that are halved until the predictions
-    in each change by `APART`; a part is left out if its deviance is above the limit everywhere, should the predictions follow a
-    path no longer than `PATH` times straight.
-    """
-    low, high, count = problem.parameters.low[1 - j], problem.parameters.high[1 - j], len(node)
-    every = np.linspace(low, high, NODES)
-    row, ends = np.repeat(np.arange(count), NODES - 1), np.tile(np.stack([every[:-1], every[1:]], axis=1), (count, 1))
-    off = problem.residuals(_points(node, [every] * count, j)).reshape(count, NODES, -1)
-    off = np.stack([off[:, :-1], off[:, 1:]], axis=2).reshape(len(row), 2, -1)
-    kept = [(np.arange(count), ridge)]
-    for _ in range(HALVINGS):
-        apart = np.linalg.norm(off[:, 1] - off[:, 0], axis=1)
-        there = np.linalg.norm(off, axis=2).sum(axis=1) - PATH * apart <= 2 * np.sqrt(limit)
-        done = there & (apart <= APART)
-        kept.append((np.repeat(row[done], 2), ends[done].ravel()))
-        left = there & ~done & (ends[:, 1] - ends[:, 0] > NARROWEST * (high - low))
-        if not left.any():
-            break
-        row, ends, off = row[left], ends[left], off[left]
-        middle = ends.mean(axis=1)
-        there = problem.residuals(np.stack([node[row], middle] if j == 0 else [middle, node[row]], axis=1))
-        ends, off = (
-            np.concatenate([np.stack([x[:, 0], y], axis=1), np.stack([y, x[:, 1]], axis=1)])
-            for x, y in ((ends, middle), (off, there))
-        )
-        row = np.tile(row, 2)
-    rows, values = (np.concatenate(column) for column in zip(*kept, strict=True))
-    return [np.unique(values[rows == i]) for i in range(count)]
-
-
-def _points(node: np.ndarray, others: list[np.ndarray], j: int) -> np.ndarray:
-    """Points (G, 2) of every θ_j with each of the other's values."""
-    theta = np.empty((sum(len(y) for y in others), 2))
-    theta[:, j] = np.repeat(node, [len(y) for y in others])
-    theta[:, 1 - j] = np.concatenate(others)
-    return theta
-
-
-def _refitted(table: Predictions, true: int, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _refitted(off: np.ndarray, true: int, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rise of D at the truth, and best value, per simulation."""
     # single precision is enough: the table is far coarser
-    off = (table.off - table.off[table.best[true]]).clip(-1e6, 1e6).astype(np.float32)
+    away = (off - off[true]).clip(-1e6, 1e6).astype(np.float32)
     # |y − μ|² = |ε|² − 2 ε·off + |off|², and |ε|² is the same everywhere; one product, a simulation per row
-    there = np.concatenate([-2 * off, np.einsum("gn,gn->g", off, off)[:, None]], axis=1).T
-    drawn, own = np.concatenate([noise, np.ones_like(noise[:, :1])], axis=1), table.column == true
+    there = np.concatenate([-2 * away, np.einsum("gn,gn->g", away, away)[:, None]], axis=1).T
+    drawn = np.concatenate([noise, np.ones_like(noise[:, :1])], axis=1)
     rise, least = np.empty(len(noise), np.float32), np.empty(len(noise), np.intp)
     rows = max(1, ONE_THREAD // there.size)
     for some in (slice(start, start + rows) for start in range(0, len(noise), rows)):
         deviance = drawn[some] @ there
         least[some] = deviance.argmin(axis=1)
-        rise[some] = deviance[:, own].min(axis=1) - deviance.min(axis=1)
-    return rise, table.column[least]
-
-
-def _standard_errors(problem: Problem, j: int, theta: np.ndarray) -> np.ndarray:
-    """Standard error of θ_j at each point; inf where it is undetermined."""
-    information = problem(theta, order=1).metric
-    regular = np.linalg.cond(information) < 1e14
-    found = np.full(len(theta), np.inf)
-    found[regular] = np.sqrt(np.linalg.inv(information[regular])[:, j, j])
-    return found
+        rise[some] = deviance[:, true] - deviance.min(axis=1)
+    return rise, least
 
 
 def _below(node: np.ndarray, excess: np.ndarray) -> list[Interval]:
