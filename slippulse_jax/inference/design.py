@@ -204,7 +204,7 @@ def _bits(information: Any, error: Any, width: int = 0) -> str:
     """Format an information in nats, with its error, in bits."""
     error = error / BIT
     small = f"{error:.3f}" if error >= 5e-4 else "0.001" if error > 1e-4 else "0.000"
-    return f"{information / BIT:{width}.3f} ± {small} bit"
+    return f"{information / BIT:z{width}.3f} ± {small} bit"
 
 
 def design(

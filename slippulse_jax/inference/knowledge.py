@@ -203,7 +203,8 @@ class Knowledge:
         """Take the profile likelihood of the stiffness of a fit.
 
         With one parameter this is the posterior of `from_measurements`; with several it approximates the marginal posterior.
-        Designs take lengths as the fit did, of first fronts or of whole events, of sliders or of blocks.
+        Designs take lengths as the fit did, of first fronts or of whole events, of sliders or of blocks; after a sequence they
+        are of whole events.
 
         Parameters
         ----------
@@ -233,10 +234,12 @@ class Knowledge:
         node = curve.node[max(low[0] - 1, 0) : low[-1] + 2]
         part = np.arange(len(node))
         theta = np.interp(np.linspace(0, part[-1], max(nodes, 2 * len(node))), part, node)
-        deviance = PchipInterpolator(curve.node, curve.deviance)(theta)
+        # of nodes that give no such measurements the deviance is inf
+        least = np.minimum(curve.deviance, result.deviance + 4 * FAINT)
+        deviance = PchipInterpolator(curve.node, least)(theta)
         density = np.exp((deviance.min() - deviance) / 2)
         weight, in_si = density * np.gradient(theta), result.measurements.in_si
-        known = cls(theta, weight, _roots(density), in_si, front.event, front.body)
+        known = cls(theta, weight, _roots(density), in_si, "full" if front.body == "block" else front.event, front.body)
         return known._marked(result.parameters, lambda at: curve.theta[abs(curve.node - at[:, None]).argmin(axis=1)])
 
     def _marked(self, q: ParameterSet, at: Callable[[np.ndarray], np.ndarray]) -> "Knowledge":

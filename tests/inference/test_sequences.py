@@ -14,6 +14,7 @@ from slippulse_jax.inference.model.emulator import Points, through
 from slippulse_jax.inference.model.models import model_of
 from slippulse_jax.inference.model.series import CONTACTS, GEOMETRY, SITES, BlockSeries, followed
 from slippulse_jax.inference.model.slider import FirstFront
+from slippulse_jax.inference.objective import Objective
 from slippulse_jax.inference.parameters import checked
 from slippulse_jax.inference.result.samples import simulated
 from slippulse_jax.inference.result.verdict import Identifiability
@@ -257,6 +258,37 @@ def test_what_a_fit_of_a_sequence_can_do(places, tmp_path):
     moves = {change.name: change for change in places.changes}
     assert moves["young"].moves["areal_stiffness"][0] == pytest.approx(np.log(1.05), abs=0.02)
     assert abs(moves["push_height"].moves["areal_stiffness"][0]) > 0.01
+
+
+@pytest.mark.ci
+def test_what_a_sequence_tells_serves_a_design(places):
+    """Of lengths on another block of the same interface."""
+    known = sp.Knowledge.from_fit(places)
+    relative = places.stderrs["areal_stiffness"] / places.values["areal_stiffness"]
+    assert known.log_sd == pytest.approx(relative, rel=0.2)
+    where = {"height": 0.06, "push_height": 0.1, "young": 3e9, "correlation_length": 2e-4}
+    planned = sp.design(known, sigma=[1e-3, 1e-5], friction=0.35, **where)
+    assert (planned.length > 1).all()
+    assert planned.information[1] > 0.5 > planned.information[0] >= 0
+
+
+@pytest.mark.ci
+def test_the_objective_of_a_sequence_has_second_derivatives(places):
+    """As differences have them; compiled, and mapped over starts."""
+    f = Objective(places.problem)
+    at = places.theta + np.array([[0.02, -0.003], [-0.01, 0.002]])
+
+    def of(theta):
+        return f(dict(zip(f.names, theta, strict=True)))
+
+    with jax.enable_x64(True):
+        values = jax.jit(jax.vmap(of))(at)
+        np.testing.assert_allclose(values, [float(of(one)) for one in at], rtol=1e-9)
+        np.testing.assert_allclose(np.diff(values), np.diff(places.problem(at).value), rtol=1e-6)
+        slope, bend = jax.jit(jax.grad(of)), jax.jit(jax.hessian(of))(at[0])
+        steps = 1e-6 * np.eye(2)
+        differences = [(slope(at[0] + step) - slope(at[0] - step)) / 2e-6 for step in steps]
+    np.testing.assert_allclose(bend, differences, rtol=1e-4, atol=1e-4 * np.abs(bend).max())
 
 
 @pytest.mark.ci
