@@ -576,9 +576,9 @@ def checked(
     if missing := [name for name in front.columns if name not in m.other]:
         raise ValueError(f"{m.source}: the model reads the column {missing[0]}, which is not there")
     observables = _with_own(m, observables_of(front, loss), own)
-    _check_complete(m, chosen, observables)
     for one in observables:
         one.check(m, names)
+    _check_complete(m, chosen, observables)
     front.check(m, {one.name: one for one in chosen})
     known = {name for one in observables for name in (*one.acts, one.added)} | {"block_width"}
     for name in names:

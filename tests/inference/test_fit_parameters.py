@@ -6,6 +6,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 import pytest
 from oracles import dense_chain
 from reports import unfolded
@@ -653,6 +654,21 @@ def test_a_force_without_strength_names_its_column_and_what_to_give(tmp_path):
     with pytest.raises(ValueError, match="scales with σ_s") as refused:
         fit(dataclasses.replace(read_measurements(path), lines=()), [Parameter("areal_stiffness")])
     assert str(refused.value).endswith(': free=["stiffness", "strength"]')
+
+
+@pytest.mark.parametrize("free", ["stiffness", ["stiffness", "strength"]])
+@pytest.mark.parametrize("event", [None, "full"])
+def test_the_force_of_a_later_event_is_refused_of_a_slider(free, event):
+    """Of the first event it is read, with its number or without."""
+    rows = {
+        "height_mm": [25, 50], "correlation_length_um": 10, "poisson": 0.3, "young_GPa": 3, "length_mm": [14, 34],
+        "length_sigma_mm": 0.5, "force_N_per_mm": [40, 60], "force_sigma_N_per_mm": 2,
+    }  # fmt: skip
+    later = pd.DataFrame(rows | {"event": [1, 2]})
+    with pytest.raises(ValueError, match=r"table, row 1, column event: 2: later events are those of a block"):
+        fit(later, free, event=event)
+    first = sp.Measurements.from_dataframe(pd.DataFrame(rows | {"event": [1, 1]}))
+    assert checked(first, ["stiffness", "strength"], event).names == ["areal_stiffness", "strength"]
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """Displacement and force at nucleation, in closed form."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -35,6 +35,15 @@ class Force(Observable):
     column = COLUMNS["force"]
     acts: ClassVar[Mapping[str, float]] = {"strength": 1, "correlation_length": 1}
     added = "force_offset"
+
+    def check(self, m: Measurements, names: Collection[str]) -> None:
+        """Refuse later events: the model is of the first."""
+        if (later := m.or_zero("event") > 1).any():
+            i = int(np.argmax(later))
+            raise ValueError(
+                f"{m.place(i)}, column {m.heading('event')}: {m.or_zero('event')[i]:g}: later events are those of a block, with "
+                "push_height and its length (docs/fit/sequence.md); leave them out to fit the first"
+            )
 
     def unit(self, m: Measurements) -> tuple[np.ndarray, Mapping[str, float]]:
         """Unit σ_s λc; and the width, of forces stated over it."""
