@@ -10,6 +10,7 @@ from scipy.stats import multivariate_normal
 
 import slippulse_jax as sp
 from benchmarks import sequence_coverage
+from slippulse_jax.base.shown import format_number
 from slippulse_jax.inference.model.emulator import Points, through
 from slippulse_jax.inference.model.models import model_of
 from slippulse_jax.inference.model.series import CONTACTS, GEOMETRY, SITES, BlockSeries, followed
@@ -17,7 +18,8 @@ from slippulse_jax.inference.model.slider import FirstFront
 from slippulse_jax.inference.objective import Objective
 from slippulse_jax.inference.parameters import checked
 from slippulse_jax.inference.result.samples import simulated
-from slippulse_jax.inference.result.verdict import Identifiability
+from slippulse_jax.inference.result.verdict import Identifiability, open_ended
+from slippulse_jax.inference.search.intervals import Interval
 from slippulse_jax.inference.search.learning import check_model_error, model_error_of
 from slippulse_jax.inference.search.likelihood import make_problem
 from slippulse_jax.inference.table.columns import MeasurementError
@@ -258,6 +260,20 @@ def test_what_a_fit_of_a_sequence_can_do(places, tmp_path):
     moves = {change.name: change for change in places.changes}
     assert moves["young"].moves["areal_stiffness"][0] == pytest.approx(np.log(1.05), abs=0.02)
     assert abs(moves["push_height"].moves["areal_stiffness"][0]) > 0.01
+
+
+def test_an_end_that_was_not_looked_at_is_no_limit():
+    """Open at the end of the range the data give a limit; inside it no events were followed beyond."""
+    one = checked(sp.Measurements.from_dataframe(table_of(0.8, 0.35)), BOTH).free[0]
+    low, high = one.low, one.high
+    for piece, said in (
+        (Interval(low, low + 2, True, False), "the data give an upper limit only"),
+        (Interval(high - 2, high, False, True), "the data give a lower limit only"),
+        (Interval(low + 1, low + 2, True, False), f"not looked at below {format_number(one.value(low + 1))} Pa/m: no events"),
+        (Interval(low, high - 1, True, True), f"not looked at above {format_number(one.value(high - 1))} Pa/m: no events"),
+    ):
+        (verdict,) = open_ended(one, [piece])
+        assert verdict.reason.startswith(said)
 
 
 @pytest.mark.ci

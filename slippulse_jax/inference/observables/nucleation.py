@@ -41,8 +41,8 @@ class Force(Observable):
         if (later := m.or_zero("event") > 1).any():
             i = int(np.argmax(later))
             raise ValueError(
-                f"{m.place(i)}, column {m.heading('event')}: {m.or_zero('event')[i]:g}: later events are those of a block, with "
-                "push_height and its length (docs/fit/sequence.md); leave them out to fit the first"
+                f"{m.place(i)}, column {m.heading('event')}: {m.or_zero('event')[i]:g}: later events are those of a block, "
+                "with push_height and its length (docs/fit/sequence.md); leave them out to fit the first"
             )
 
     def unit(self, m: Measurements) -> tuple[np.ndarray, Mapping[str, float]]:

@@ -122,10 +122,10 @@ def _of_range(problem: Problem, found: Found, j: int, pieces: list[Interval]) ->
     if every == [True]:
         told = undetermined(problem, found.theta)
         why = f"the data allow every value in the range searched{'; ' * bool(told)}{told}"
-        yield Verdict(Identifiability.UNINFORMATIVE, why)
+        yield Verdict(Identifiability.UNINFORMATIVE, _unseen(problem.parameters.free[j], pieces) or why)
     limits = stiff and not problem.steps and {*m.kind} == {"at_least"}  # which have no best value where all are met
     if limits and len(pieces) == 1 and (problem.predict(found.theta)[0] >= m.length).all():
-        yield from _open(pieces)
+        yield from open_ended(problem.parameters.free[j], pieces)
         yield Verdict(Identifiability.EQUAL, "every value in the interval gives lengths that are long enough")
     if end := _end(problem, found.theta, j):
         yield Verdict(
@@ -150,7 +150,7 @@ def _of_range(problem: Problem, found: Found, j: int, pieces: list[Interval]) ->
 def _of_shape(problem: Problem, found: Found, j: int, profiled: Intervals) -> Iterator[Verdict]:
     """Withhold an error where the likelihood is far from normal."""
     yield from _several(problem, found, j, profiled[LEVELS[-1]])
-    yield from _open(profiled[LEVELS[-1]])
+    yield from open_ended(problem.parameters.free[j], profiled[LEVELS[-1]])
     yield from _not_normal(problem, found, j, profiled)
     covered = found.covered.get(j, (1.0, 1.0))
     if any(share < least for share, least in zip(covered, COVERED, strict=True)):
@@ -186,9 +186,19 @@ def _end(problem: Problem, theta: np.ndarray, j: int) -> str:
     return next((end for end, at in ends.items() if abs(theta[j] - at) <= reach), "")
 
 
-def _open(pieces: list[Interval]) -> Iterator[Verdict]:
+def open_ended(one: Free, pieces: list[Interval]) -> Iterator[Verdict]:
+    """Call open ends limits, or not looked at."""
     if any(piece.open_low or piece.open_high for piece in pieces):
-        yield Verdict(Identifiability.ONE_SIDED, f"the data give {'an upper' if pieces[0].open_low else 'a lower'} limit only")
+        limit = f"the data give {'an upper' if pieces[0].open_low else 'a lower'} limit only"
+        yield Verdict(Identifiability.ONE_SIDED, _unseen(one, pieces) or limit)
+
+
+def _unseen(one: Free, pieces: list[Interval]) -> str:
+    """Say beyond which open ends no events were followed, if any."""
+    ends = [("below", pieces[0].open_low, pieces[0].low, one.low), ("above", pieces[-1].open_high, pieces[-1].high, one.high)]
+    inside = 1e-3 * (one.high - one.low)
+    beyond = [f"{way} {format_number(one.value(at))}" for way, is_open, at, end in ends if is_open and abs(at - end) > inside]
+    return f"not looked at {' and '.join(beyond)}{f' {one.unit}'.rstrip()}: no events were followed there" if beyond else ""
 
 
 def _several(problem: Problem, found: Found, j: int, pieces: list[Interval]) -> Iterator[Verdict]:
@@ -265,7 +275,7 @@ def _of_counts(problem: Problem, pieces: list[Interval], at_odds: list[int]) -> 
         yield Verdict(Identifiability.SEVERAL_ROOTS, f"the counts hold from {_ranges(problem.parameters.free[0], pieces)}")
     if pieces[0].open_low and pieces[0].open_high:
         yield Verdict(Identifiability.UNINFORMATIVE, "the counts hold everywhere in the range searched")
-    yield from _open(pieces)
+    yield from open_ended(problem.parameters.free[0], pieces)
     yield Verdict(Identifiability.EQUAL, "every value in the interval gives all counts")
 
 
