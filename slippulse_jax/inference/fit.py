@@ -48,7 +48,6 @@ from slippulse_jax.inference.search.learning import (
     outwards,
     pruned,
     sized,
-    with_model_error,
     within_reach,
 )
 from slippulse_jax.inference.search.likelihood import Problem, make_problem
@@ -281,8 +280,7 @@ def _by_search(problem: Problem, **options: Any) -> Explored:
 
 def _by_learning(problem: Problem, model_error: float | str | None, **options: Any) -> Explored:
     """Follow the model where data may be met, until profiles rise."""
-    problem = with_model_error(problem, model_error) if isinstance(model_error, float | int) else problem
-    problem, turn = learnt(problem, options["seed"]), 0
+    problem, turn = learnt(problem, options["seed"], model_error), 0
     while True:
         near = narrowed(sized(problem) if model_error == "fitted" else problem)
         with _progress(near) as shown:

@@ -22,7 +22,7 @@ from slippulse_jax.inference.model.inputs import COMMON
 from slippulse_jax.inference.model.models import front_of
 from slippulse_jax.inference.observables.observable import Observable, Observations
 from slippulse_jax.inference.parameters import PARAMETERS, Parameter, checked, wanted_parameters, with_errors_of_measuring
-from slippulse_jax.inference.search.learning import check_model_error, learnt, sized, with_model_error
+from slippulse_jax.inference.search.learning import check_model_error, learnt, sized
 from slippulse_jax.inference.search.likelihood import How, Problem, density, make_problem
 from slippulse_jax.inference.search.minima import lowest_look
 from slippulse_jax.inference.table.measurements import Measurements, measurements_of
@@ -187,6 +187,5 @@ def objective(
     check_model_error(problem, model_error)
     if not problem.emulates:
         return Objective(problem)
-    problem = with_model_error(problem, model_error) if isinstance(model_error, float | int) else problem
-    problem = learnt(problem, seed)
+    problem = learnt(problem, seed, model_error)
     return Objective(sized(problem) if model_error == "fitted" else problem)

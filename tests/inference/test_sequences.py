@@ -277,6 +277,18 @@ def test_an_end_that_was_not_looked_at_is_no_limit():
 
 
 @pytest.mark.ci
+def test_a_force_of_large_error_was_looked_at_everywhere():
+    """Of which nearly any stiffness may be the cause: no end is open but those of the range."""
+    one = table_of(0.8, 0.35).iloc[[1]].drop(columns="spans").assign(force_sigma_N=lambda table: 15 * table["force_sigma_N"])
+    result = sp.fit(one, "stiffness", fixed={"friction": 0.35})
+    assert not any("not looked at" in verdict.reason for verdict in result.verdicts.values())
+    (parameter,), curve = result.parameters.free, result.curves["areal_stiffness"]
+    of_95 = result.deviance + 3.84
+    for end, edge in ((0, parameter.low), (-1, parameter.high)):
+        assert curve.deviance[end] > of_95 or curve.node[end] == pytest.approx(edge)
+
+
+@pytest.mark.ci
 def test_what_a_sequence_tells_serves_a_design(places):
     """Of lengths on another block of the same interface."""
     known = sp.Knowledge.from_fit(places)

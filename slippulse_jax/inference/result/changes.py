@@ -150,8 +150,7 @@ def _followed_again(result: "FitResult", wanted: Sequence[Parameter]) -> tuple[P
     """Fit sequences with other parameters: the problem, θ, and its deviance."""
     m, error = result.measurements, result.request.get("model_error")
     problem = make_problem(m, parameter_set(m, wanted, observables=result.parameters.observables))
-    problem = with_model_error(problem, error) if isinstance(error, float | int) else problem
-    problem = learnt(problem, result.request["seed"])
+    problem = learnt(problem, result.request["seed"], error)
     theta = first_look(problem, 0)
     return problem, theta, 2 * float(problem(theta[None]).value[0])
 

@@ -174,10 +174,8 @@ def of_dict(kind: type[Record], content: dict[str, Any]) -> tuple[Record, dict[s
     q = checked(m, wanted, front, loss=request["loss"])
     problem = make_problem(m, q)
     if learnt := content.get("learnt"):
-        points, like = (
-            decode(Points, learnt["points"]),
-            (decode(np.ndarray, learnt["reach"]), decode(np.ndarray, learnt["scatter"])),
-        )
+        points = decode(Points, learnt["points"])
+        like = decode(np.ndarray, learnt["reach"]), decode(np.ndarray, learnt["scatter"])
         problem = with_model_error(problem, learnt["model_error"])
         problem = dataclasses.replace(
             problem, points=points, emulator=through(points, learnt["count"], like=like), known=learnt["known"]
@@ -227,8 +225,7 @@ def to_dataframe(result: "FitResult") -> "pd.DataFrame":
         own, quantity = own.replace("/", "_per_"), kind.framed or kind.column.quantity
         own = f"_{own}" * (bool(own) and (m.in_si or own != "λc"))
         columns = {f"{quantity}{own}": value, f"{quantity}_sigma{own}": sigma, f"{quantity}_fitted{own}": fitted}
-        for name, x in (columns | {f"{quantity}_residual": one.residuals}).items():
-            name = name if not kind.of_rows else name.replace(f"{quantity}_residual", "residual")
+        for name, x in (columns | {"residual" if kind.of_rows else f"{quantity}_residual": one.residuals}).items():
             found.setdefault(name, np.full(len(m), np.nan))[one.measurement] = x
     if np.isfinite(result.attainable).any():
         found[f"length_attainable{unit}"] = result.attainable * scale

@@ -36,6 +36,8 @@ RADIUS = 6.0, 4.0, 3.0, 2.0, 2.0
 """Size of the clouds of each round, in standard errors."""
 FITTED, KEPT, MOST = 100, 25.0, 2
 """Points through which an emulator goes, for each parameter; and up to how many times, of deviances so near the least."""
+CELL = 3.0
+"""Size of the cells, in half-widths, of which each gives its best points in turn where there are too many."""
 FARTHEST, HOPELESS = 8.0, 60.0
 """How far a minimum is sought from a point, in half-widths; and the deviance above the least from which on none is sought."""
 LARGEST_ERROR = 0.2
@@ -52,8 +54,9 @@ RISEN = 2.0
 """Rise of the deviance beyond the limit of an interval from which on a profile needs no more points."""
 
 
-def learnt(problem: Problem, seed: int) -> Problem:
+def learnt(problem: Problem, seed: int, model_error: float | str | None = None) -> Problem:
     """Follow the model where data may be met; fit an emulator."""
+    problem = with_model_error(problem, model_error) if isinstance(model_error, float | int) else problem
     q, units, random = problem.parameters, _units(problem.parameters), np.random.default_rng(seed)
     if problem.loss != "normal":
         raise ValueError(f"loss = {problem.loss!r}: forces of a sequence err together, so that none can count less alone")
@@ -203,9 +206,17 @@ def followed(problem: Problem, theta: np.ndarray) -> Problem:
 
 
 def emulated(problem: Problem, *, tuned: bool = False) -> Problem:
-    """Fit an emulator through the best points."""
-    (order, deviance), count = _ranked(problem), FITTED * problem.p
-    rows = order[: max(count, min(np.searchsorted(deviance, deviance[0] + KEPT), MOST * count))]
+    """Fit an emulator through the best points.
+
+    Of too many that are near enough through some of everywhere: the best alone would leave out the ends of a profile.
+    """
+    (order, deviance), count, units = _ranked(problem), FITTED * problem.p, _units(problem.parameters)
+    rows = order[: max(count, int(np.searchsorted(deviance, deviance[0] + KEPT)))]
+    _, cell = np.unique(np.floor(problem.points.theta[rows] / (CELL * units)), axis=0, return_inverse=True)
+    turn = np.empty(len(rows), int)  # of each point among those of its cell
+    for own in (np.flatnonzero(cell.ravel() == one) for one in range(int(cell.max()) + 1)):
+        turn[own] = np.arange(len(own))
+    rows = rows[np.sort(np.argsort(turn, kind="stable")[: MOST * count])]
     whole = -(-len(rows) // count) * count  # few shapes, so that few programs are compiled
     return dataclasses.replace(problem, through=rows, emulator=through(problem.points.take(rows), whole, tuned=tuned))
 

@@ -12,7 +12,7 @@ Constants are left out such that a datum the model meets exactly costs nothing: 
 import dataclasses
 import itertools
 from collections.abc import Callable, Iterable
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -72,13 +72,7 @@ def _derivatives(observable: Observable) -> Kernel:
     """
 
     def one(mu: Array, value: Array, sigma: Array) -> tuple[Array, ...]:
-        def cost(mu: Array) -> Array:
-            read = Reading(value[None], sigma[None], jnp.ones(1, mu.dtype))
-            return -observable.log_density(Prediction(mu[None]), read)
-
-        def first(mu: Array) -> tuple[Array, Array]:
-            return jax.value_and_grad(cost)(mu)
-
+        first = partial(jax.value_and_grad(_cost_of), value=value, sigma=sigma, observable=observable)
         (found, slope), (_, second) = jax.jvp(first, (mu,), (jnp.ones_like(mu),))
         if observable.is_value:
             # the Gauss–Newton part, which weights the residual by the slope of the loss
@@ -117,11 +111,11 @@ def log_densities(observable: Observable, mu: np.ndarray, value: np.ndarray, sig
 @cache
 def _values(observable: Observable) -> Kernel:
     """Cost of data (μ, value, σ)."""
+    return lambda columns: (jax.vmap(partial(_cost_of, observable=observable))(*columns),)
 
-    def one(mu: Array, value: Array, sigma: Array) -> Array:
-        return -observable.log_density(Prediction(mu[None]), Reading(value[None], sigma[None], jnp.ones(1, mu.dtype)))
 
-    return lambda columns: (jax.vmap(one)(*columns),)
+def _cost_of(mu: Array, value: Array, sigma: Array, observable: Observable) -> Array:
+    return -observable.log_density(Prediction(mu[None]), Reading(value[None], sigma[None], jnp.ones(1, mu.dtype)))
 
 
 # --- data with an error of the model --------------------------------------------------------------------------------------
