@@ -59,7 +59,7 @@ SPRUNG = f"k_n/k = 1 or 1.4, not {USUAL_NORMAL_STIFFNESS:g} (column normal_stiff
 """How the report calls these k_n/k."""
 SCATTER, MOST_SCATTER = 0.05, 0.29
 """How thresholds of contacts are tried to scatter; twice what is held, if more, and at most this."""
-SERIES = 24
+SERIES = 16
 """Series near a fit of sequences, over which what a change does to them is averaged."""
 MOST_STEPS = 25
 """Steps of every start of another fit."""
@@ -150,7 +150,7 @@ def _followed_again(result: "FitResult", wanted: Sequence[Parameter]) -> tuple[P
     """Fit sequences with other parameters: the problem, θ, and its deviance."""
     m, error = result.measurements, result.request.get("model_error")
     problem = make_problem(m, parameter_set(m, wanted, observables=result.parameters.observables))
-    problem = learnt(problem, result.request["seed"], error)
+    problem = learnt(problem, result.request["seed"], error, quick=True)
     theta = first_look(problem, 0)
     return problem, theta, 2 * float(problem(theta[None]).value[0])
 

@@ -32,6 +32,8 @@ SCANNED, RESCALED = 160, 64
 """Points of the first scan, and those of it that are followed again with forces of the right size."""
 BASINS = 5, 3, 2, 2, 1
 """Most minima about which each round puts a cloud."""
+QUICK = 80, 32, (5,), 0
+"""The same, and rounds outwards, where an estimate is enough."""
 RADIUS = 6.0, 4.0, 3.0, 2.0, 2.0
 """Size of the clouds of each round, in standard errors."""
 FITTED, KEPT, MOST = 100, 25.0, 2
@@ -54,23 +56,27 @@ RISEN = 2.0
 """Rise of the deviance beyond the limit of an interval from which on a profile needs no more points."""
 
 
-def learnt(problem: Problem, seed: int, model_error: float | str | None = None) -> Problem:
-    """Follow the model where data may be met; fit an emulator."""
+def learnt(problem: Problem, seed: int, model_error: float | str | None = None, *, quick: bool = False) -> Problem:
+    """Follow the model where data may be met; fit an emulator.
+
+    In one round, `quick`, to some per cent.
+    """
     problem = with_model_error(problem, model_error) if isinstance(model_error, float | int) else problem
     q, units, random = problem.parameters, _units(problem.parameters), np.random.default_rng(seed)
     if problem.loss != "normal":
         raise ValueError(f"loss = {problem.loss!r}: forces of a sequence err together, so that none can count less alone")
-    problem = followed(problem, _within(q, _scan(problem, seed), units))
-    if len(more := _rescaled(problem)):
+    scanned, rescaled, basins, outwards = (SCANNED, RESCALED, BASINS, OUTWARDS) if not quick else QUICK
+    problem = followed(problem, _within(q, _scan(problem, scanned, seed), units))
+    if len(more := _rescaled(problem)[:rescaled]):
         problem = followed(problem, _within(q, more, units))
     problem = emulated(_evolved(problem, units, random))
-    for most, radius in zip(BASINS, RADIUS, strict=True):
+    for most, radius in zip(basins, RADIUS, strict=False):
         ends = [_minimum(problem, start, units) for start in _starts(problem, units, most)]
         more = [_cloud(q, end, covariance, radius, units, random) for end, covariance in ends]
         more += [_cloud(q, start, np.diag(units**2), 2.0, units, random) for start in _promising(problem, units)]
         problem = emulated(followed(problem, np.concatenate(more)))
-    problem = emulated(problem, tuned=True)
-    for _ in range(OUTWARDS):
+    problem = problem if quick else emulated(problem, tuned=True)
+    for _ in range(outwards):
         if not (more := [_cloud(q, one, np.diag(units**2), 2.0, units, random) for one in _promising(problem, units)]):
             break
         problem = emulated(followed(problem, np.concatenate(more)), tuned=True)
@@ -350,12 +356,12 @@ def _units(q: ParameterSet) -> np.ndarray:
     return np.array([q.front.unit(PARAMETERS[one.name].acts) for one in q.free])
 
 
-def _scan(problem: Problem, seed: int) -> np.ndarray:
+def _scan(problem: Problem, count: int, seed: int) -> np.ndarray:
     """Points over the whole range; of priors over two of their errors."""
     q = problem.parameters
     spread = 2 / np.sqrt(np.maximum(problem.prior_weight, 1e-300))
     low, high = np.maximum(q.low, problem.prior_mean[0] - spread), np.minimum(q.high, problem.prior_mean[0] + spread)
-    return low + qmc.Halton(problem.p, rng=seed).random(SCANNED) * (high - low)
+    return low + qmc.Halton(problem.p, rng=seed).random(count) * (high - low)
 
 
 def _cloud(

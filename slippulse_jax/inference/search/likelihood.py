@@ -11,7 +11,7 @@ Constants are left out such that a datum the model meets exactly costs nothing: 
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache, cached_property, partial
 from typing import Any, NamedTuple
 
@@ -35,6 +35,7 @@ from slippulse_jax.inference.observables.observable import (
     Observations,
     Prediction,
     Reading,
+    joined,
     loss_of,
     whitened,
 )
@@ -60,8 +61,8 @@ EXPECTED = {"normal": 1.0, "student": (STUDENT_DOF + 1) * float(digamma((STUDENT
 """Mean deviance of one datum whose errors are distributed as the loss assumes."""
 
 How = tuple[tuple[Any, ...], tuple[Observable, ...], Callable]
-"""What of a problem is no number: observable, model, whether it is relaxed, and options of exact data; and observables and the
-coordinates of emulated ones."""
+"""What of a problem is no number: observables, model, whether it is relaxed, and options of exact data; and observables and
+the coordinates of emulated ones."""
 
 
 @cache
@@ -357,15 +358,16 @@ class Problem:
     @property
     def parts(self) -> tuple[How, Any]:
         """What of a problem is no number, and its numbers."""
-        q, how, front = self.parameters, [], self.parameters.front
-        for data in self.exact:
-            relaxed = not any(x.base.any() or x.slope.any() for x in (data.inputs.prestress, data.inputs.threshold_slope))
-            how.append((data.observable, front, relaxed, data.observable.options(front, data, q.low, q.high)))
+        q, how, exact, front = self.parameters, [], [], self.parameters.front
+        for every, own in self._together:
+            relaxed = not any(x.base.any() or x.slope.any() for x in (own.inputs.prestress, own.inputs.threshold_slope))
+            options = own.observable.options(front, own, q.low, q.high)
+            how.append((tuple(data.observable for data in every), front, relaxed, options))
+            exact.append((own._replace(observable=None), tuple(data.reading() for data in every)))
         kinds = tuple(data.observable for data in self.learnt)
-        exact = tuple(data._replace(observable=None) for data in self.exact)
         read = tuple(data.reading() for data in self.learnt)
         learnt = (self._numbers, self.emulator, read) if kinds else None
-        return (tuple(how), kinds, front.coordinates), (self.prior_mean[0], self.prior_weight, exact, learnt)
+        return (tuple(how), kinds, front.coordinates), (self.prior_mean[0], self.prior_weight, tuple(exact), learnt)
 
     def _evaluate(self, theta: np.ndarray, lane: np.ndarray, order: int) -> Evaluation:
         """Sum the cost over priors and observables, with its derivatives."""
@@ -378,8 +380,7 @@ class Problem:
             found = self._jointly(theta, lane)
             value, gradient, metric = value + found.value, gradient + found.slope, metric + found.information
             curvature = curvature + self._bends(theta, lane) if order > 1 else curvature
-        for data in self.exact:
-            mu, first, second = self._predictions(data, theta, order)
+        for data, mu, first, second in self._each_exact(theta, order):
             cost, slope, positive, bend = costs(mu, data, lane)
             value = value + cost.sum(axis=1)
             if first is None:
@@ -400,6 +401,25 @@ class Problem:
     def exact(self) -> list[Observations]:
         """Data that the model predicts exactly."""
         return [data for data in self.observed if not data.observable.emulated]
+
+    @cached_property
+    def _together(self) -> list[tuple[list[Observations], Observations]]:
+        """Exact data that are predicted alike, as lengths and counts; and all of them."""
+        alike: dict[Any, list[Observations]] = {}
+        for data in self.exact:
+            kind = data.observable
+            alike.setdefault((kind.column.quantity, type(kind).predict, type(kind).evaluate), []).append(data)
+        return [(every, joined(every)) for every in alike.values()]
+
+    def _each_exact(self, theta: np.ndarray, order: int) -> Iterator[tuple[Observations, np.ndarray, Any, Any]]:
+        """Exact data of each observable, and their `_predictions`."""
+        for every, own in self._together:
+            found, start = self._predictions(own, theta, order), 0
+            for data in every:
+                mine = slice(start, start := start + len(data.rows))
+                mu, first, second = (None if x is None else x[:, mine] for x in found)
+                assert mu is not None
+                yield data, mu, first, second
 
     @cached_property
     def _numbers(self) -> tuple[Any, ...]:
@@ -595,9 +615,7 @@ class Problem:
         if self.emulates:
             size, axes = np.linalg.eigh(self._jointly(theta, zero).information[0])
             rows.append((axes * np.sqrt(np.maximum(size, 0))).T)
-        for data in self.exact:
-            mu, first, _ = self._predictions(data, theta, 1)
-            assert first is not None
+        for data, mu, first, _ in self._each_exact(theta, 1):
             if data.observable.is_value:
                 expected = np.where(np.isfinite(mu[0]), INFORMATION[self.loss] / data.sigma**2, 0) * data.weight[0]
             else:
@@ -641,9 +659,11 @@ def density(how: How, numbers: Any, theta: Float[Array, " p"]) -> Float[Array, "
     """−ln(likelihood × prior) of the `parts` of a problem."""
     (exact, kinds, coordinates), (mean, weight, observed, learnt) = how, numbers
     total = (weight * (theta - mean) ** 2).sum() / 2
-    for (observable, front, relaxed, options), data in zip(exact, observed, strict=True):
-        found = _exactly(observable, front, relaxed, options, data, theta)
-        total = total - observable.log_density(found, data.reading())
+    for (observables, front, relaxed, options), (own, every) in zip(exact, observed, strict=True):
+        mean, start = _exactly(observables[0], front, relaxed, options, own, theta), 0
+        for observable, reading in zip(observables, every, strict=True):
+            found = Prediction(mean[start : (start := start + len(reading.sigma))])
+            total = total - observable.log_density(found, reading)
     if kinds:
         own, emulator, read = learnt
         found = emulated(kinds, coordinates, own, emulator, theta)
@@ -651,14 +671,14 @@ def density(how: How, numbers: Any, theta: Float[Array, " p"]) -> Float[Array, "
     return total
 
 
-def _exactly(observable: Observable, front: Front, relaxed: bool, options: tuple, data: Any, theta: Array) -> Prediction:
-    """Exact predictions for the data of one observable at one θ."""
+def _exactly(observable: Observable, front: Front, relaxed: bool, options: tuple, data: Any, theta: Array) -> Array:
+    """Exact predictions for data that are predicted alike, at one θ."""
 
     def predict(data: Any, theta: Array) -> Array:
         found = observable.in_rows(front, data.inputs.at(theta), relaxed, *options)
         return data.predicted(Prediction(found[data.rows]), theta).mean
 
-    return Prediction(by_forward_mode(predict, held=data)(theta))  # the loop over breaks has no other mode
+    return by_forward_mode(predict, held=data)(theta)  # the loop over breaks has no other mode
 
 
 def make_problem(m: Measurements, parameters: ParameterSet) -> Problem:
