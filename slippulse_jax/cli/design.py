@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from slippulse_jax.base.choices import EventKind
 from slippulse_jax.cli.shared import (
@@ -29,12 +30,14 @@ if TYPE_CHECKING:
     cls=Grouped,
     groups={
         "Candidates, over λc": "height sigma push-height push-width",
+        "Candidates, tables": "table",
         "Candidates, in SI": "height-mm sigma-mm correlation-length-um young-gpa push-height-mm push-width-mm",
         "Candidates in both": "poisson prestress push-control friction normal-stiffness contact-law top event whole",
         "Prior knowledge": "stiffness log-sd measured bounds",
         "Plan and output": "next seed figure json help",
     },
 )
+@click.option("--table", "tables", multiple=True, metavar="CSV", help="Table as it would be measured; once for each candidate.")
 @click.option("--height", type=VALUES, metavar="H/λc,…", help="Heights of the available blocks.")
 @click.option("--sigma", type=VALUES, metavar="σ/λc,…", help="Standard errors of the lengths.")
 @click.option("--height-mm", type=VALUES, metavar="MM,…", help="Heights of the available blocks.")
@@ -49,8 +52,8 @@ if TYPE_CHECKING:
 )
 @push_control
 @contacts_of_block(VALUES)
-@click.option("--poisson", type=VALUES, required=True, metavar="ν,…", help="Poisson's ratio.")
-@click.option("--prestress", type=VALUES, default="0", show_default=True, metavar="φ,…", help="Prestress, in σ_s.")
+@click.option("--poisson", type=VALUES, metavar="ν,…", help="Poisson's ratio; needed beside heights.")
+@click.option("--prestress", type=VALUES, metavar="φ,…", help="Prestress, in σ_s; 0 by default.")
 @click.option("--stiffness", type=VALUES, metavar="K,…", help="Stiffness, or its several roots: k/K, or k/λc² in Pa/m.")
 @click.option("--log-sd", type=VALUES, metavar="SD,…", help="Standard deviation of ln(stiffness) about each root.")
 @click.option("--measured", metavar="LENGTHS.CSV", help="Table of earlier measurements, as for slippulse fit.")
@@ -74,16 +77,23 @@ def command(
     seed: int,
     figure: Path | None,
     as_json: bool,
+    tables: tuple[str, ...],
     **conditions: Any,
 ) -> None:
-    """Rank candidate experiments by expected information about the interface stiffness.
+    """Rank candidate experiments by expected information about the interface.
 
-    Give one entry per candidate, or one for all: a number, a list a,b,c or a range first:last:count[:log]. Prior knowledge
-    comes from --stiffness with --log-sd, from --measured, or from both.
+    Give one entry per candidate, or one for all: a number, a list a,b,c or a range first:last:count[:log]; or tables of what
+    would be measured. --stiffness with --log-sd, --measured, or both say what is known before.
     """
     from slippulse_jax.inference.design import design
+    from slippulse_jax.inference.table.measurements import read_measurements
 
-    candidates = _conditions(conditions)
+    candidates: dict[str, Any] = (
+        {"candidates": {Path(name).stem: name for name in tables}} if tables else _conditions(conditions)
+    )
+    source = click.get_current_context().get_parameter_source
+    if tables and (given := [name for name in conditions if source(name) is ParameterSource.COMMANDLINE]):
+        raise click.UsageError(f"{option(given[0])} beside --table: a table states it")
     if measured is None and stiffness is None:
         raise click.UsageError("missing --stiffness (with --log-sd) or --measured: prior knowledge of the stiffness")
     if (stiffness is None) != (log_sd is None):
@@ -91,7 +101,8 @@ def command(
     if bounds and measured is None:
         raise click.UsageError("--bounds is the range of the stiffness that --measured is searched for")
     try:
-        known = _knowledge(stiffness, log_sd, measured, "correlation_length" in candidates, bounds=bounds, event=event)
+        in_si = read_measurements(tables[0]).in_si if tables else "correlation_length" in candidates
+        known = _knowledge(stiffness, log_sd, measured, in_si, bounds=bounds, event=event)
         kind = "whole" if whole else "length"
         found = design(known, **candidates, kind=kind, experiments=experiments, seed=seed)
     except (ValueError, OSError) as error:
@@ -113,6 +124,8 @@ def _conditions(given: dict[str, Any]) -> dict[str, Any]:
     plain, si = ("height", "sigma"), ("height_mm", "sigma_mm", "correlation_length_um", "young_gpa")
     pushes = ("push_height", "push_width"), ("push_height_mm", "push_width_mm")
     found = one_form(given, "candidates", plain, si, pushes)
+    if given["poisson"] is None:
+        raise click.UsageError("missing --poisson")
     for name in ("push_height", "push_width") if "young" in found else ():  # over the height of the block
         x, heights = found.get(name, np.zeros(1)), found["height"]
         if x.size != heights.size and 1 not in (x.size, heights.size):
@@ -128,7 +141,9 @@ def _knowledge(
 ) -> Any:
     import dataclasses
 
+    from slippulse_jax.inference.fit import fit
     from slippulse_jax.inference.knowledge import Knowledge
+    from slippulse_jax.inference.model.models import front_of
     from slippulse_jax.inference.table.measurements import read_measurements
 
     prior = None
@@ -140,6 +155,8 @@ def _knowledge(
     if measured is None:
         return prior
     measurements = read_measurements(measured)
+    if front_of(measurements).event == "sequence":
+        return Knowledge.from_fit(fit(measurements, bounds=bounds))
     if measurements.in_si != in_si:
         raise ValueError(f"{measured}: the measurements and the candidates must both be in SI form, or neither")
     return Knowledge.from_measurements(measurements, prior=prior, bounds=bounds, event=event)

@@ -1,53 +1,35 @@
-"""Knowledge of the interface stiffness, and the information expected from an experiment.
+"""Knowledge of the interface: weighted draws of its parameters.
 
-Knowledge is weighted samples of ln(stiffness). They represent any distribution: a normal one, one that ends abruptly, or the
-two roots that one length may have. On a grid the weights are those of the quadrature, and sums over the samples are integrals.
-
-An experiment measures a length ℓ(θ) with a normal error σ, or counts whole contacts, ceil(ℓ + error); a front that never stops
-is an outcome of its own. Of weighted samples θ_i the expected information (mutual information, in nats) is
-
-    I = Σ_i w_i ∫ dy p(y|θ_i) ln[p(y|θ_i)/p(y)],        p(y) = Σ_i w_i p(y|θ_i),
-
-a one-dimensional quadrature for one experiment. For several, I is the mean of the same logarithm over (θ, y) drawn together:
-p(y) being an exact sum over the samples, that estimate has no bias, and scrambled Sobol points give its standard error.
+Knowledge is weighted samples of ln(stiffness), each with its own friction and whatever else a fit left open. They represent any
+distribution: a normal one, one that ends abruptly, or the two roots that one length may have. On a grid the weights are those
+of the quadrature, and sums over the samples are integrals.
 """
 
 import dataclasses
 from collections.abc import Callable
 from itertools import pairwise
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import ArrayLike
-from scipy.special import logsumexp, ndtri, xlogy
 
 from slippulse_jax.base.choices import EventKind
 from slippulse_jax.base.domains import check_choice, check_domain
 from slippulse_jax.base.shown import format_number
 from slippulse_jax.inference.choices import Body
 from slippulse_jax.inference.model.models import front_of
-from slippulse_jax.inference.observables import Count, Length
 from slippulse_jax.inference.parameters import STIFFNESSES, Parameter, ParameterSet, check_used, checked
-from slippulse_jax.inference.search.likelihood import Problem, log_densities, make_problem
+from slippulse_jax.inference.search.likelihood import Problem, make_problem
 from slippulse_jax.inference.table.columns import NUMERIC
 from slippulse_jax.inference.table.measurements import MeasurementError, Measurements, converted, numbers, table
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result.result import FitResult
 
-LengthKind = Literal["length", "whole"]
-
 NODES = 1201  # samples of a grid
 NEGLIGIBLE = 1e-9  # weight, relative to the largest, below which a sample is left out
 FAINT = 40.0  # fall of ln p from its largest beyond which a grid need not be fine
 VALLEY = 0.5  # two peaks of a density are two roots where it falls between them below this fraction of the lower one
-REACH = 7.0  # range of the outcomes summed over, in standard errors beyond the lengths
-STEP = 0.25  # spacing of the outcomes summed over, in standard errors
-SURE = 0.95  # smallest posterior of one root from which the roots count as distinguished
-REPLICATES, POINTS = 8, 512  # scrambled Sobol sequences, and points of each
-
-OUTCOMES = {"length": Length(), "whole": Count(sharpest=1e-12)}
-"""Observables by the kind of a measurement; a count is its interval itself, and not one blurred as in a fit."""
 UNUSED = (*(one for one in NUMERIC if one.endswith("_sigma") and one != "length_sigma"), "displacement", "force", "gauges")
 """Columns of measurements that are left out: inputs are taken as exact, and lengths alone are used."""
 
@@ -72,6 +54,8 @@ class Knowledge:
         What the measurements were made on, where the knowledge comes from some: a design is for no other.
     rebreaks : array_like of bool, shape (r,), optional
         Roots at which the edge contact breaks again before the measured front stops.
+    more : dict of array_like, shape (m,), optional
+        Other parameters of each sample, by name, as they are fitted: "friction", or the logarithm of a "normal_load".
 
     Raises
     ------
@@ -86,6 +70,7 @@ class Knowledge:
     event: EventKind = "domino"
     body: Body | None = None
     rebreaks: np.ndarray = converted(converter=np.asarray, default=None)
+    more: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_choice("event", self.event, EventKind)
@@ -101,6 +86,11 @@ class Knowledge:
         if not weight.sum() > 0:
             raise ValueError("Knowledge.weight: all zero")
         order = np.argsort(theta, kind="stable")
+        more = {name: numbers(x, f"Knowledge.more: {name}") for name, x in self.more.items()}
+        for name, x in more.items():
+            if x.shape != theta.shape:
+                raise ValueError(f"Knowledge.more: {name} has shape {x.shape}: one for each of {len(theta)} samples")
+        object.__setattr__(self, "more", {name: x[order] for name, x in more.items()})
         object.__setattr__(self, "log_stiffness", theta[order])
         object.__setattr__(self, "weight", weight[order] / weight.sum())
         object.__setattr__(self, "root", np.unique(root[order], return_inverse=True)[1])
@@ -202,9 +192,8 @@ class Knowledge:
     def from_fit(cls, result: "FitResult", *, nodes: int = NODES) -> "Knowledge":
         """Take the profile likelihood of the stiffness of a fit.
 
-        With one parameter this is the posterior of `from_measurements`; with several it approximates the marginal posterior.
-        Designs take lengths as the fit did, of first fronts or of whole events, of sliders or of blocks; after a sequence they
-        are of whole events.
+        With one parameter this is the posterior of `from_measurements`; with several it approximates the marginal posterior,
+        and each sample has a draw of the others, normal about the profile.
 
         Parameters
         ----------
@@ -226,7 +215,7 @@ class Knowledge:
             raise ValueError(f"the fit has {len(asked)} stiffnesses ({', '.join(asked)}): one is needed")
         if asked[0] == "areal_stiffness_over_young":
             raise ValueError("the fit is of the areal stiffness over Young's modulus: give young_GPa with the measurements")
-        front = result.parameters.front
+        q, front = result.parameters, result.parameters.front
         if front.event == "crack":
             raise ValueError("the fit is of crack-like fronts: designs predict self-healing ones only")
         curve = result.curves[asked[0]]
@@ -238,9 +227,17 @@ class Knowledge:
         least = np.minimum(curve.deviance, result.deviance + 4 * FAINT)
         deviance = PchipInterpolator(curve.node, least)(theta)
         density = np.exp((deviance.min() - deviance) / 2)
-        weight, in_si = density * np.gradient(theta), result.measurements.in_si
-        known = cls(theta, weight, _roots(density), in_si, "full" if front.body == "block" else front.event, front.body)
-        return known._marked(result.parameters, lambda at: curve.theta[abs(curve.node - at[:, None]).argmin(axis=1)])
+        event, j = "full" if front.body == "block" else front.event, q.index(asked[0])
+        others = [i for i, one in enumerate(q.free) if i != j and one.label == one.name and not one.nuisance]
+        about = np.reshape([np.interp(theta, curve.node, curve.theta[:, i]) for i in others], (-1, len(theta))).T
+        if others and result.covariance is not None:
+            spread = np.linalg.pinv(np.linalg.pinv(result.covariance)[np.ix_(others, others)])  # of these at one stiffness
+            about = about + np.random.default_rng(0).multivariate_normal(0 * about[0], spread, len(theta), method="eigh")
+        more = {q.names[i]: np.clip(about[:, k], q.low[i], q.high[i]) for k, i in enumerate(others)}
+        known = cls(
+            theta, density * np.gradient(theta), _roots(density), result.measurements.in_si, event, front.body, more=more
+        )
+        return known._marked(q, lambda at: curve.theta[abs(curve.node - at[:, None]).argmin(axis=1)])
 
     def _marked(self, q: ParameterSet, at: Callable[[np.ndarray], np.ndarray]) -> "Knowledge":
         """Find roots where the edge breaks again, by θ `at` ln k."""
@@ -331,138 +328,3 @@ def _roots(density: np.ndarray) -> np.ndarray:
     peaks, _ = find_peaks(log, height=log.max() + np.log(1e-3), prominence=-np.log(VALLEY))
     cuts = [first + int(np.argmin(log[first:last])) - 1 for first, last in pairwise(peaks.tolist())]
     return np.searchsorted(np.array(cuts, dtype=int), np.arange(len(density)), side="right")
-
-
-# --- information ---------------------------------------------------------------------------------------------------------
-
-
-class Gain(NamedTuple):
-    """What experiments are expected to add to the knowledge."""
-
-    information: float  # in nats
-    error: float  # of it: of the quadrature, or a standard error
-    log_stderr: float  # standard deviation of θ afterwards
-    told_apart: float  # probability that one root will have a posterior of `SURE` or more
-
-
-def log_likelihood(y: np.ndarray, length: np.ndarray, sigma: float, kind: LengthKind) -> np.ndarray:
-    """Ln p(y | ℓ) of a fit, without its constant; (n, m).
-
-    Of outcomes y of shape (n,), ∞ where the front did not stop, and lengths of shape (m,); σ may be 0 for counts.
-    """
-    stops = np.isfinite(y)
-    found = np.where(np.isinf(length), 0.0, -np.inf) + np.zeros((len(y), 1))
-    found[stops] = log_densities(OUTCOMES[kind], length, y[stops, None], sigma)
-    return found
-
-
-def outcomes(length: np.ndarray, sigma: float, kind: LengthKind, step: float = STEP) -> tuple[np.ndarray, np.ndarray]:
-    """Outcomes to sum over, and weights with the density's constant; (n,)."""
-    finite = length[np.isfinite(length)]
-    y, dy = np.empty(0), np.empty(0)
-    if finite.size and kind == "length":
-        # only near the lengths, which may lie in clumps far apart
-        edges = np.unique(np.floor(finite[:, None] / sigma) + np.arange(-REACH, REACH + 1))
-        y = (edges[:, None] + step * np.arange(round(1 / step))).ravel() * sigma
-        dy = np.full(len(y), step / np.sqrt(2 * np.pi))
-    elif finite.size:
-        low, high = np.floor(finite.min() - REACH * sigma), np.ceil(finite.max() + REACH * sigma)
-        y = np.arange(max(low, 1), max(high, 1) + 1)
-        dy = np.ones(len(y))
-    if finite.size < length.size:
-        y, dy = np.append(y, np.inf), np.append(dy, 1.0)
-    return y, dy
-
-
-def expected_gain(known: Knowledge, length: np.ndarray, sigma: float, kind: LengthKind) -> Gain:
-    """Gain of one experiment, by quadrature over lengths of shape (m,)."""
-    information, *afterwards = _quadrature(known, length, sigma, kind, STEP)
-    # every other sample of each root, with the probability of the root
-    kept = np.sort(np.concatenate([np.flatnonzero(own)[::2] for own in known.by_root.T]))
-    root = known.root[kept]
-    share, left = (weight.sum(axis=0)[root] for weight in (known.by_root, known.by_root[kept]))
-    thin = Knowledge(known.log_stiffness[kept], known.weight[kept] * (share / left), root)
-    coarse = _quadrature(thin, length[kept], sigma, kind, STEP), _quadrature(known, length, sigma, kind, 2 * STEP)
-    return Gain(information, max(abs(information - other[0]) for other in coarse), *afterwards)
-
-
-def _quadrature(
-    known: Knowledge, length: np.ndarray, sigma: float, kind: LengthKind, step: float
-) -> tuple[float, float, float]:
-    """Information, later standard deviation of θ, and chance of certainty."""
-    y, dy = outcomes(length, sigma, kind, step)
-    information = stderr = apart = 0.0
-    for part in np.array_split(np.arange(len(y)), max(len(y) * len(length) // 2_000_000, 1)):
-        p = np.exp(log_likelihood(y[part], length, sigma, kind))
-        total = p @ known.weight
-        # outcomes that no sample leads to have no probability
-        seen = total > 0
-        p, total, dy_seen = p[seen], total[seen], dy[part][seen]
-        entropy = xlogy(p, p) @ known.weight - xlogy(total, total)
-        information += dy_seen @ entropy
-        sd, sure = _afterwards(known, p * known.weight / total[:, None])
-        stderr += (dy_seen * total) @ sd
-        apart += (dy_seen * total) @ sure
-    return float(information), float(stderr), float(apart)
-
-
-def _afterwards(known: Knowledge, posterior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Standard deviation and certainty of posteriors of shape (n, m)."""
-    theta = known.log_stiffness - known.weight @ known.log_stiffness
-    mean = posterior @ theta
-    variance = posterior @ theta**2 - mean**2
-    return np.sqrt(np.maximum(variance, 0)), (posterior @ (known.by_root > 0)).max(axis=1) >= SURE
-
-
-def draw(known: Knowledge, steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Draw truths and errors of experiments, common to all candidates.
-
-    `REPLICATES` independently scrambled Sobol sequences, one after another: the sample that is the truth, shape (n,), and
-    standard normal errors, shape (n, steps).
-    """
-    from scipy.stats.qmc import Sobol
-
-    rng = np.random.default_rng(seed)
-    u = np.concatenate([Sobol(steps + 1, rng=rng).random(POINTS) for _ in range(REPLICATES)])
-    truth = np.searchsorted(np.cumsum(known.weight), u[:, 0] * (1 - 1e-12))
-    return np.minimum(truth, len(known) - 1), ndtri(np.clip(u[:, 1:], 1e-12, 1 - 1e-12))
-
-
-def log_likelihoods(truth: np.ndarray, noise: np.ndarray, length: np.ndarray, sigma: float, kind: LengthKind) -> np.ndarray:
-    """Ln p(y|θ_j) of each draw's outcome and sample j; (n, m)."""
-    y = length[truth] + sigma * noise
-    if kind == "length":
-        return log_likelihood(y, length, sigma, kind)
-    # far fewer counts than draws
-    counts, own = np.unique(np.maximum(np.ceil(y), 1), return_inverse=True)
-    return log_likelihood(counts, length, sigma, kind)[own]
-
-
-def joint_gain(known: Knowledge, truth: np.ndarray, log_p: np.ndarray) -> Gain:
-    """Gain of several experiments, from summed `log_likelihoods`, (n, m)."""
-    with np.errstate(divide="ignore"):
-        joint = log_p + np.log(known.weight)
-    total = np.asarray(logsumexp(joint, axis=1))
-    own = log_p[np.arange(len(log_p)), truth]
-    means = (own - total).reshape(REPLICATES, -1).mean(axis=1)
-    sd, sure = _afterwards(known, np.exp(joint - total[:, None]))
-    return Gain(float(means.mean()), float(means.std(ddof=1) / np.sqrt(REPLICATES)), float(sd.mean()), float(sure.mean()))
-
-
-def greedy(
-    known: Knowledge, length: np.ndarray, error: np.ndarray, kind: LengthKind, gains: list[Gain], experiments: int, seed: int
-) -> list[tuple[int, Gain]]:
-    """Choose experiments one by one, each adding most to those before."""
-    best = int(np.argmax([gain.information for gain in gains]))
-    sequence, so_far = [(best, gains[best])], 0.0
-    if experiments == 1:
-        return sequence
-    truth, noise = draw(known, experiments, seed)
-    for step in range(1, experiments):
-        so_far = so_far + log_likelihoods(truth, noise[:, step - 1], length[:, best], error[best], kind)
-        columns = zip(length.T, error, strict=True)
-        each = (so_far + log_likelihoods(truth, noise[:, step], one, sigma, kind) for one, sigma in columns)
-        gains = [joint_gain(known, truth, log_p) for log_p in each]
-        best = int(np.argmax([gain.information for gain in gains]))
-        sequence.append((best, gains[best]))
-    return sequence

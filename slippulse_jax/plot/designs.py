@@ -32,10 +32,14 @@ if TYPE_CHECKING:
 def design_figure(found: "Design", *, width: float | None = None, ax: "Axes | None" = None) -> "Figure":
     """Draw `design` and `design_lengths` side by side.
 
-    `width` in mm and `ax` are those of `fit`.
+    `width` in mm and `ax` are those of `fit`. Of tables the information alone.
     """
     wide, high = width_of(width, ax), max(1.8, 0.3 * len(found.candidates))
     beside = wide >= NARROW
+    if found.parameters is None:
+        with new_figure(wide, 1 + high, ax) as figure:
+            design(found, ax=figure.subplots())
+        return figure
     with new_figure(wide, 1 + high if beside else 3.5 + high, ax) as figure:
         left, right = figure.subplots(*(1, 2) if beside else (2, 1))
         design(found, ax=left)
@@ -67,8 +71,10 @@ def design(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
 def design_lengths(found: "Design", *, ax: "Axes | None" = None) -> "Axes":
     """Draw ℓ/H ± σ of the best candidates against stiffness.
 
-    Below them is the density of the present knowledge.
+    Below them is the density of the present knowledge. A ValueError for tables.
     """
+    if found.parameters is None:
+        raise ValueError("the candidates are tables, not lengths: use plot.design")
     ax = axes(ax)
     c = colours(ax)
     known = found.knowledge.log_stiffness

@@ -4,6 +4,7 @@ import json
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
 from click.testing import CliRunner
 from oracles import dense_chain
@@ -14,9 +15,23 @@ from scipy.stats import norm
 import slippulse_jax as sp
 from slippulse_jax.cli.design import command
 from slippulse_jax.cli.shared import BAD_INPUT
-from slippulse_jax.inference.knowledge import draw, expected_gain, joint_gain, log_likelihood, log_likelihoods, outcomes
+from slippulse_jax.inference.design import OUTCOMES, Predictions, draw, gain, greedy, log_likelihoods
 from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.model.slider import WholeEvent
+from slippulse_jax.inference.observables.observable import Observations
+from slippulse_jax.inference.search.likelihood import log_densities
+
+
+def one_datum(length, sigma, kind="length", covariance=None):
+    """An experiment of one datum, of which the draws predict these lengths."""
+    observable = dict(zip(("length", "whole"), OUTCOMES, strict=True))[kind]
+    data = Observations(observable, np.ones((1, 1)), np.array([sigma]), *[None] * 6)  # pyright: ignore[reportArgumentType]
+    return [Predictions(data, np.asarray(length)[:, None], covariance)]
+
+
+def expected_gain(known, length, sigma, kind="length"):
+    (found,), _ = greedy(known, [one_datum(length, sigma, kind)], 1, seed=0)
+    return found
 
 
 def normal_prior(sd, nodes=801):
@@ -30,33 +45,50 @@ def test_linear_gaussian_limit(sd, slope, sigma):
     """I = ½ ln(1 + s²J²/σ²) and 1/var = 1/s² + J²/σ², for one experiment and for three."""
     prior = normal_prior(sd)
     length = 30 + slope * prior.log_stiffness
-    information, error, log_stderr, _ = expected_gain(prior, length, sigma, "length")
-    assert information == pytest.approx(0.5 * np.log1p((sd * slope / sigma) ** 2), abs=1e-6)
-    assert error < 1e-5
-    assert log_stderr == pytest.approx((sd**-2 + (slope / sigma) ** 2) ** -0.5, rel=1e-6)
-    truth, noise = draw(prior, 3, seed=0)
-    log_p = sum(log_likelihoods(truth, of_step, length, sigma, "length") for of_step in noise.T)
-    information, error, log_stderr, _ = joint_gain(prior, truth, log_p)
-    expected = 0.5 * np.log1p(3 * (sd * slope / sigma) ** 2)
-    assert abs(information - expected) < 4 * error + 1e-9
-    assert error < 0.02
-    assert log_stderr == pytest.approx((sd**-2 + 3 * (slope / sigma) ** 2) ** -0.5, rel=1e-2)
+    for count in (1, 3):
+        truth, noise = draw(prior, count, seed=0)
+        log_p = sum(log_likelihoods(one_datum(length, sigma), truth, of_step[:, None]) for of_step in noise.T)
+        information, error, log_stderr, _ = gain(prior, truth, log_p)
+        expected = 0.5 * np.log1p(count * (sd * slope / sigma) ** 2)
+        assert abs(information - expected) < 4 * error + 1e-9
+        assert error < (0.004 if count == 1 else 0.03)
+        assert log_stderr == pytest.approx((sd**-2 + count * (slope / sigma) ** 2) ** -0.5, rel=1e-2)
+
+
+@pytest.mark.ci
+def test_data_that_err_together():
+    """Two of one error common to both, and the same as one of two independent data: I = ½ ln det of the sum of covariances."""
+    prior, sd, sigma, common = normal_prior(0.5), 0.5, 0.7, 0.9
+    slope = np.array([2.0, -3.0])
+    mean, data = (
+        prior.log_stiffness[:, None] * slope,
+        Observations(OUTCOMES[0], np.ones((1, 2)), np.full(2, sigma), *[None] * 6),
+    )  # pyright: ignore[reportArgumentType]
+    shared = np.full((len(prior), 2, 2), common**2)
+    (found,), _ = greedy(prior, [[Predictions(data, mean, shared)]], 1, seed=0)
+    noise = common**2 + sigma**2 * np.eye(2)
+    expected = np.log(np.linalg.det(noise + sd**2 * np.outer(slope, slope)) / np.linalg.det(noise)) / 2
+    assert abs(found.information - expected) < 4 * found.error
+    assert found.error < 0.02
+    apart, together = greedy(prior, [[Predictions(data, mean)], [Predictions(data, mean, 0 * shared)]], 1, seed=0)[0]
+    assert apart.information == pytest.approx(together.information, rel=1e-9)
 
 
 @pytest.mark.parametrize("apart", [0.1, 1.0, 3.0, 20.0])
 def test_two_values_of_stiffness(apart):
     """Against SciPy's adaptive quadrature: ln 2 less the entropy that is left of which of two it is."""
     prior = sp.Knowledge([0.0, 1.0], root=[0, 1])
-    information, _, log_stderr, told_apart = expected_gain(prior, np.array([10.0, 10.0 + apart]), 1.0, "length")
+    information, error, log_stderr, told_apart = expected_gain(prior, np.array([10.0, 10.0 + apart]), 1.0)
 
     def integrand(y):
         p = np.exp(-((y - np.array([0, apart])) ** 2) / 2) / np.sqrt(2 * np.pi)
         return sum(0.5 * x * np.log(x / p.mean()) for x in p if x > 0)
 
     pieces = [(-9, apart / 2), (apart / 2, apart + 9)]
-    assert information == pytest.approx(sum(quad(integrand, *ends, epsabs=1e-12)[0] for ends in pieces), abs=1e-8)
+    assert abs(information - sum(quad(integrand, *ends, epsabs=1e-12)[0] for ends in pieces)) < 4 * error + 1e-9
+    assert error < 0.01
     if apart == 20:
-        assert information == pytest.approx(np.log(2), abs=1e-9)
+        assert information == pytest.approx(np.log(2), abs=1e-3)
         assert told_apart == pytest.approx(1)
         assert log_stderr == pytest.approx(0, abs=1e-6)
     # told apart where the odds exceed 19: |y − middle| > ln(19)/apart, from either side
@@ -94,28 +126,21 @@ def test_counts_against_dense_solves():
     for j, height in enumerate([8, 14]):
         counts = [dense_chain.front(height, q, 0.3, np.ones(60), np.zeros(60), 0, 60)[0] for q in np.exp(theta)]
         share = np.unique(counts, return_counts=True)[1] / 41
-        assert found.information[j] == pytest.approx(-share @ np.log(share), abs=1e-12)
+        assert abs(found.information[j] + share @ np.log(share)) < 4 * found.information_error[j]
+        assert found.information_error[j] < 0.05
     blurred = sp.design(known, height=[8, 14], sigma=0.3, kind="whole")
     assert (blurred.information < found.information).all()
-
-
-def test_probabilities_of_outcomes_add_up():
-    length = np.array([0.0, 0.6, 3.2, 40.7, np.inf])
-    for kind, sigma in (("length", 0.1), ("length", 3.0), ("whole", 0.0), ("whole", 0.7)):
-        y, dy = outcomes(length, sigma, kind)
-        np.testing.assert_allclose(dy @ np.exp(log_likelihood(y, length, sigma, kind)), 1, atol=1e-9)
 
 
 def test_probability_of_a_count():
     """Against SciPy's normal distribution; without error the count is the whole contacts of the length, 1 where no domino starts."""
     length = np.array([0.0, 0.6, 3.2, 17.4, 40.7])
-    y = np.array([1.0, 2, 3, 4, 17, 18, 41, np.inf])
+    y, counts = np.array([1.0, 2, 3, 4, 17, 18, 41]), OUTCOMES[1]
     for sigma in (0.3, 2.0):
         lower = np.where(y > 1, y - 1, -np.inf)[:, None]
         expected = norm.cdf(y[:, None], length, sigma) - norm.cdf(lower, length, sigma)
-        expected[-1] = 0
-        np.testing.assert_allclose(np.exp(log_likelihood(y, length, sigma, "whole")), expected, rtol=1e-9, atol=1e-14)
-    certain = np.exp(log_likelihood(y, length, 0.0, "whole"))
+        np.testing.assert_allclose(np.exp(log_densities(counts, length, y[:, None], sigma)), expected, rtol=1e-9, atol=1e-14)
+    certain = np.exp(log_densities(counts, length, y[:, None], 0.0))
     np.testing.assert_array_equal(certain, y[:, None] == np.maximum(np.ceil(length), 1))
 
 
@@ -197,13 +222,11 @@ def test_a_front_that_never_stops_is_an_outcome():
     prior = normal_prior(1.0, 101)
     length = np.where(prior.log_stiffness > 0.5, np.inf, 30 + 5 * prior.log_stiffness)
     never = prior.weight @ np.isinf(length)
-    information, *_ = expected_gain(prior, length, 1e4, "length")
+    information, error, *_ = expected_gain(prior, length, 1e4)
     # with an error that swamps every length, what is left is whether it stops
     expected = -never * np.log(never) - (1 - never) * np.log1p(-never)
-    assert information == pytest.approx(expected, abs=1e-4)
-    truth, noise = draw(prior, 1, seed=1)
-    joint, error, *_ = joint_gain(prior, truth, log_likelihoods(truth, noise[:, 0], length, 1e4, "length"))
-    assert abs(joint - expected) < 4 * error + 1e-4
+    assert abs(information - expected) < 4 * error + 1e-4
+    assert error < 0.01
 
 
 def test_units():
@@ -399,7 +422,7 @@ def test_at_what_height_to_push_a_block():
 def test_a_push_is_over_the_height_of_its_block_or_in_mm():
     """One h/H for blocks of several heights scales with each; mm stay mm. As for a block, and for `sweep`."""
     known = sp.Knowledge.lognormal(9e10, 0.2, in_si=True)
-    material = {"sigma": 0.2e-3, "correlation_length": 50e-6, "young": 3e9}
+    material = {"sigma": 0.2e-3, "correlation_length": 50 * 1e-6, "young": 3e9}  # as the command converts
     plan = sp.design(known, height=[10e-3, 20e-3], push_height=0.25, push_width=0.1, **material)
     for candidate, mean in zip(plan.candidates, plan.expected_length[:, 0], strict=True):
         block = sp.Block.from_material(
@@ -472,3 +495,79 @@ def test_earlier_measurements_of_a_block_are_knowledge_of_it():
 def test_pushes_that_cannot_be(wrong, message):
     with pytest.raises(ValueError, match=message):
         sp.design(sp.Knowledge.lognormal(0.02, 0.3), height=25.0, sigma=0.5, **wrong)
+
+
+# --- tables -----------------------------------------------------------------------------------------------------------------
+
+
+def with_forces(sigma=5.0):
+    """Lengths and forces of two blocks, as `read_measurements` gives them."""
+    return pd.DataFrame({
+        "height_mm": [10, 30], "correlation_length_um": 500, "poisson": 0.3, "young_GPa": 3, "length_mm": [8.2, 22.0],
+        "length_sigma_mm": [0.2, 0.4], "force_N_per_mm": [40, 60], "force_sigma_N_per_mm": sigma,
+    })  # fmt: skip
+
+
+def test_a_table_of_lengths_is_worth_what_its_rows_are():
+    """As the keywords say, if it has one row; of two, more than either and less than both."""
+    known = sp.Knowledge.lognormal(2e10, 0.3, in_si=True)
+    table = with_forces().drop(columns=["force_N_per_mm", "force_sigma_N_per_mm"])
+    plan = sp.design(known, {"one": table.head(1), "other": table.tail(1), "both": table})
+    rows = sp.design(
+        known, height=[0.01, 0.03], sigma=[2e-4, 4e-4], correlation_length=5e-4, young=3e9
+    )  # fmt: skip
+    np.testing.assert_allclose(plan.information[:2], rows.information, rtol=0.02)
+    assert plan.information[:2].max() < plan.information[2] < plan.information[:2].sum()
+    assert plan.candidates.measured.tolist() == ["1 length", "1 length", "2 lengths"]
+    assert np.isnan(plan.length).all()
+    assert "2 lengths" in plan.report()
+    assert "2 lengths" in plan._repr_html_()
+    said = json.loads(json.dumps(plan.to_dict()))
+    assert [one["name"] for one in said["candidates"]] == ["one", "other", "both"]
+    assert said["candidates"][0]["length"] is None
+    assert len(sp.plot.design_figure(plan).axes) == 1
+    with pytest.raises(ValueError, match=r"tables, not lengths: use plot\.design"):
+        sp.plot.design_lengths(plan)
+
+
+@pytest.mark.ci
+def test_forces_tell_what_their_errors_allow():
+    """With the strength left open as the fit left it, smaller errors of the forces tell more, of the stiffness too."""
+    fitted = sp.fit(with_forces(), ["stiffness", "strength"])
+    known = sp.Knowledge.from_fit(fitted)
+    assert known.more.keys() == {"strength"}
+    (mean,), (error,) = (np.atleast_1d(x) for x in (fitted.theta[1], np.sqrt(fitted.covariance[1, 1])))
+    strength = known.more["strength"]
+    middle = known.weight @ strength
+    assert middle == pytest.approx(mean, abs=0.3 * error)
+    assert np.sqrt(known.weight @ (strength - middle) ** 2) == pytest.approx(error, rel=0.3)
+    plan = sp.design(known, {str(sigma): with_forces(sigma) for sigma in (500.0, 5.0, 0.05)})
+    lengths = sp.design(known, {"lengths": with_forces().drop(columns=["force_N_per_mm", "force_sigma_N_per_mm"])})
+    assert plan.information[0] == pytest.approx(lengths.information[0], rel=0.02)
+    assert (np.diff(plan.information) > 0.3).all()
+    assert (np.diff(plan.log_stderr) < 0).all()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"candidates": {"a": with_forces()}, "height": 0.03}, "height beside candidates: their tables state it"),
+        ({}, "give candidates, or height and sigma"),
+        ({"candidates": {"a": with_forces()}}, "scales with σ_s: fit strength too"),
+        (
+            {
+                "candidates": {
+                    "far": with_forces().drop(columns=["force_N_per_mm", "force_sigma_N_per_mm"]).assign(kind="at_least")
+                }
+            },
+            "a lower limit is no plan",
+        ),
+        (
+            {"candidates": {"plain": pd.DataFrame({"height": [25.0], "length": 20.0, "length_sigma": 0.5, "poisson": 0.3})}},
+            "in Pa/m",
+        ),
+    ],
+)
+def test_tables_that_are_no_plan(given, message):
+    with pytest.raises(ValueError, match=message):
+        sp.design(sp.Knowledge.lognormal(2e10, 0.3, in_si=True), **given)

@@ -11,6 +11,7 @@ from scipy.stats import multivariate_normal
 import slippulse_jax as sp
 from benchmarks import sequence_coverage
 from slippulse_jax.base.shown import format_number
+from slippulse_jax.inference.design import of_table
 from slippulse_jax.inference.model.emulator import Points, through
 from slippulse_jax.inference.model.models import model_of
 from slippulse_jax.inference.model.series import CONTACTS, GEOMETRY, SITES, BlockSeries, followed
@@ -298,6 +299,36 @@ def test_what_a_sequence_tells_serves_a_design(places):
     planned = sp.design(known, sigma=[1e-3, 1e-5], friction=0.35, **where)
     assert (planned.length > 1).all()
     assert planned.information[1] > 0.5 > planned.information[0] >= 0
+
+
+@pytest.mark.ci
+def test_a_sequence_is_a_candidate(places):
+    """The same again tells what a straight line does; fewer places tell less, and large errors nothing."""
+    known = sp.Knowledge.from_fit(places)
+    table, m = table_of(0.8, 0.35), places.measurements
+    plan = sp.design(known, {"again": table, "three": table.iloc[[0, 4, 8]], "vague": table.assign(force_sigma_N=300.0)})
+    again, three, vague = plan.information
+    assert plan.candidates.measured.tolist() == ["11 forces", "3 forces", "11 forces"]
+    # forces are straight in θ over so little: ½ ln det(1 + J P Jᵀ Σ⁻¹), and the variances that are left
+    theta, ((data, mean, covariance),) = np.column_stack([known.log_stiffness, known.more["friction"]]), of_table(known, m)[0]
+    off = theta - known.weight @ theta
+    prior, here = (known.weight * off.T) @ off, np.argmin(np.abs(off[:, 0]))
+    slope = np.linalg.lstsq(np.column_stack([off, np.ones(len(off))])[known.weight > 1e-4], mean[known.weight > 1e-4])[0][:2]
+    spread = covariance[here] + np.diag(data.sigma**2)
+    expected = np.linalg.slogdet(np.eye(11) + slope.T @ prior @ slope @ np.linalg.inv(spread))[1] / 2
+    assert again == pytest.approx(expected, rel=0.1)
+    left = np.linalg.inv(np.linalg.inv(prior) + slope @ np.linalg.inv(spread) @ slope.T)
+    assert plan.log_stderr[0] == pytest.approx(np.sqrt(left[0, 0]), rel=0.1)
+    assert 0.8 < again / np.log(2) < 1.4  # ½ ln 2 for each of two parameters, if the model left as much open as near the fit
+    assert again > 1.3 * three > 0
+    assert vague < 0.1
+    lengths = table.assign(length_mm=10.0).drop(
+        columns=["force_N", "force_sigma_N", "normal_load_N", "spans", "block_width_mm"]
+    )
+    with pytest.raises(ValueError, match="not the forces of a sequence"):
+        sp.Knowledge.from_measurements(places.measurements)
+    lengths = lengths.head(1).assign(length_sigma_mm=0.3, friction=0.35)
+    assert sp.design(known, {"a length": lengths, "again": table}).best == 1
 
 
 @pytest.mark.ci

@@ -104,6 +104,13 @@ def outwards(problem: Problem, curves: Mapping[int, Curve], limit: float, seed: 
     return emulated(followed(problem, np.concatenate(more)), tuned=True) if more else None
 
 
+def over(problem: Problem, theta: np.ndarray) -> Problem:
+    """Follow the model about θ, (t, p); fit an emulator."""
+    units, random = _units(problem.parameters), np.random.default_rng(0)
+    problem = followed(problem, _within(problem.parameters, theta + random.uniform(-1, 1, theta.shape) * units, units))
+    return dataclasses.replace(problem, emulator=through(problem.points, len(theta), tuned=True))
+
+
 def _promising(problem: Problem, units: np.ndarray) -> list[np.ndarray]:
     """The best points, by themselves, where an emulator knows nothing."""
     theta, deviance = problem.points.theta, 2 * single(problem)[0]

@@ -377,7 +377,7 @@ class Problem:
         metric = np.broadcast_to(np.diag(self.prior_weight), (len(theta), self.p, self.p)).copy()
         curvature = metric.copy()
         if self.emulates:
-            found = self._jointly(theta, lane)
+            found = self.jointly(theta, lane)
             value, gradient, metric = value + found.value, gradient + found.slope, metric + found.information
             curvature = curvature + self._bends(theta, lane) if order > 1 else curvature
         for data, mu, first, second in self._each_exact(theta, order):
@@ -404,7 +404,7 @@ class Problem:
 
     @cached_property
     def _together(self) -> list[tuple[list[Observations], Observations]]:
-        """Exact data that are predicted alike, as lengths and counts; and all of them."""
+        """Exact data that are predicted alike, as lengths and counts, joined."""
         alike: dict[Any, list[Observations]] = {}
         for data in self.exact:
             kind = data.observable
@@ -426,8 +426,9 @@ class Problem:
         inputs = self.learnt[0].inputs.stacked()
         return tuple(data._replace(observable=None, inputs=inputs, value=None, weight=None) for data in self.learnt)
 
-    def _jointly(self, theta: np.ndarray, lane: np.ndarray) -> Joint:
+    def jointly(self, theta: np.ndarray, lane: np.ndarray | None = None) -> Joint:
         """Density of emulated data at every θ, (B, p)."""
+        lane = np.zeros(len(theta), int) if lane is None else lane
         kinds, parts = tuple(data.observable for data in self.learnt), []
         if self.tick is not None:
             self.tick(len(theta))
@@ -454,7 +455,7 @@ class Problem:
         """
         q, p, count = self.parameters, self.p, len(theta)
         step = BEND * np.diag(q.high - q.low)
-        sides = [self._jointly((theta + side * step[:, None]).reshape(-1, p), np.tile(lane, p)).slope for side in (1, -1)]
+        sides = [self.jointly((theta + side * step[:, None]).reshape(-1, p), np.tile(lane, p)).slope for side in (1, -1)]
         found = (sides[0] - sides[1]).reshape(p, count, p) / (2 * np.diag(step)[:, None, None])
         return (np.moveaxis(found, 0, 1) + np.moveaxis(found, 0, 2)) / 2
 
@@ -585,7 +586,7 @@ class Problem:
         """
         theta = np.atleast_2d(theta)
         if data.observable.emulated:
-            return self._jointly(theta, np.zeros(len(theta), int)).means[self._place(data)]
+            return self.jointly(theta).means[self._place(data)]
         return self._predictions(data, theta, 0)[0]
 
     def covariance(self, theta: np.ndarray, data: Observations) -> np.ndarray:
@@ -595,7 +596,7 @@ class Problem:
         """
         if not data.observable.emulated:
             return np.zeros((len(data.rows), len(data.rows)))
-        return self._jointly(np.atleast_2d(theta), np.zeros(1, int)).covariances[self._place(data)][0]
+        return self.jointly(np.atleast_2d(theta)).covariances[self._place(data)][0]
 
     def _place(self, data: Observations) -> int:
         """Which of the emulated data these are."""
@@ -613,7 +614,7 @@ class Problem:
         theta, zero = np.atleast_2d(theta), np.zeros(1, int)
         rows = []
         if self.emulates:
-            size, axes = np.linalg.eigh(self._jointly(theta, zero).information[0])
+            size, axes = np.linalg.eigh(self.jointly(theta).information[0])
             rows.append((axes * np.sqrt(np.maximum(size, 0))).T)
         for data, mu, first, _ in self._each_exact(theta, 1):
             if data.observable.is_value:
