@@ -27,13 +27,13 @@ from slippulse_jax.block import ContactLaw, Control, Top
 from slippulse_jax.inference.knowledge import Knowledge, moments
 from slippulse_jax.inference.model.inputs import COMMON
 from slippulse_jax.inference.model.models import front_for, front_of
-from slippulse_jax.inference.observables import Count, Length, Limit, observables_of
+from slippulse_jax.inference.observables import Count, Length, Limit
 from slippulse_jax.inference.observables.observable import Observations
-from slippulse_jax.inference.parameters import PARAMETERS, ParameterSet, checked, parameter_set
+from slippulse_jax.inference.parameters import PARAMETERS, ParameterSet, checked, observables_of, parameter_set
 from slippulse_jax.inference.search.learning import over
 from slippulse_jax.inference.search.likelihood import log_densities, make_problem
-from slippulse_jax.inference.table.columns import TEXTS
-from slippulse_jax.inference.table.measurements import Measurements, measurements_of, numbers
+from slippulse_jax.inference.table.columns import TEXTS, numbers
+from slippulse_jax.inference.table.measurements import Measurements, measurements_of
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -174,7 +174,7 @@ def fit(
         check_choice(name, value, known)
     check_whole("max_steps", max_steps, 1)
     check_whole("seed", seed, 0)
-    scaled = is_scaled(measurements, front, sigma)
+    scaled = _is_scaled(measurements, front, sigma)
     every = with_errors_of_measuring(measurements, wanted, front, size_known=not scaled)
     problem = make_problem(measurements, checked(measurements, every, front, None, loss, observables))
     _check_scaled(problem, scaled)
@@ -236,7 +236,7 @@ def fit(
     )
 
 
-def is_scaled(m: Measurements, front: Front, sigma: Sigma) -> bool:
+def _is_scaled(m: Measurements, front: Front, sigma: Sigma) -> bool:
     """Test whether the scatter gives the size of errors.
 
     It does if asked for, or where lengths have none.

@@ -20,8 +20,8 @@ from slippulse_jax.inference.choices import Body
 from slippulse_jax.inference.model.models import front_of
 from slippulse_jax.inference.parameters import STIFFNESSES, Parameter, ParameterSet, check_used, checked
 from slippulse_jax.inference.search.likelihood import Problem, make_problem
-from slippulse_jax.inference.table.columns import NUMERIC
-from slippulse_jax.inference.table.measurements import MeasurementError, Measurements, converted, numbers, table
+from slippulse_jax.inference.table.columns import NUMERIC, converted, numbers, table
+from slippulse_jax.inference.table.measurements import MeasurementError, Measurements
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result.result import FitResult

@@ -26,7 +26,7 @@ from slippulse_jax.inference.model.front import STIFFEST, Front
 from slippulse_jax.inference.model.inputs import COMMON, Inputs, Linear
 from slippulse_jax.inference.model.models import front_for, front_of, model_of
 from slippulse_jax.inference.observables import EVERY as EVERY_OBSERVABLE
-from slippulse_jax.inference.observables import Length, Observable, observables_of
+from slippulse_jax.inference.observables import Length, Observable
 from slippulse_jax.inference.table.columns import COLUMNS, EVERY, IN_LC, NUMERIC, OVER_ALL, MeasurementError
 from slippulse_jax.inference.table.measurements import Measurements, MeasurementWarning
 
@@ -525,6 +525,11 @@ def default_free(m: Measurements, held: Container[str], front: Front | type[Fron
     unstated = [name for name in front.needs if getattr(m, name) is None]
     stiffness = [] if any(name in held for name in STIFFNESSES) else ["stiffness"]
     return [*stiffness, *(name for name in unstated if name not in held)]
+
+
+def observables_of(model: Front, loss: Loss = "normal") -> tuple[Observable, ...]:
+    """Observables that a model predicts."""
+    return tuple(EVERY_OBSERVABLE[name](loss=loss) for name in model.observes)
 
 
 def wanted_parameters(

@@ -22,9 +22,9 @@ from slippulse_jax.base.status import Outcome
 from slippulse_jax.inference.fit import wanted_parameters
 from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.model.slider import FirstFront
-from slippulse_jax.inference.observables import EVERY, Count, Length, observables_of
+from slippulse_jax.inference.observables import EVERY, Count, Length
 from slippulse_jax.inference.observables.observable import Observations, loss_of
-from slippulse_jax.inference.parameters import checked, parameter_set
+from slippulse_jax.inference.parameters import checked, observables_of, parameter_set
 from slippulse_jax.inference.result.samples import bootstrap
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.inference.search.intervals import rise_of

@@ -21,8 +21,7 @@ from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.fit import FitResult
 from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.model.slider import FirstFront
-from slippulse_jax.inference.observables import observables_of
-from slippulse_jax.inference.parameters import parameter_set
+from slippulse_jax.inference.parameters import observables_of, parameter_set
 from slippulse_jax.inference.result.samples import Samples
 from slippulse_jax.inference.search.likelihood import make_problem
 

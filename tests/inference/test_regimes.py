@@ -8,8 +8,7 @@ import slippulse_jax as sp
 from benchmarks.regimes import counts, roots_missed, run, two
 from slippulse_jax.base.status import Outcome
 from slippulse_jax.inference.model.slider import FirstFront
-from slippulse_jax.inference.observables import observables_of
-from slippulse_jax.inference.parameters import parameter_set
+from slippulse_jax.inference.parameters import observables_of, parameter_set
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.inference.search.intervals import allowed_by_counts
 from slippulse_jax.inference.search.likelihood import make_problem

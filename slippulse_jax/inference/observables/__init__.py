@@ -9,18 +9,11 @@ In the order in which they build on each other:
 `sequence`          forces by place, and first lengths, of the events of a block
 """
 
-from slippulse_jax.inference.choices import Loss
-from slippulse_jax.inference.model.front import Front
 from slippulse_jax.inference.observables.gauges import Slip, Stress
 from slippulse_jax.inference.observables.lengths import Count, Length, Limit
 from slippulse_jax.inference.observables.nucleation import Displacement, Force
-from slippulse_jax.inference.observables.observable import Observable
+from slippulse_jax.inference.observables.observable import Observable as Observable
 from slippulse_jax.inference.observables.sequence import FirstLength, PlaceForce
 
 EVERY = {one.name: one for one in (Length, Count, Limit, Displacement, Force, Slip, Stress, PlaceForce, FirstLength)}
 """Observables by name; those of rows first."""
-
-
-def observables_of(model: Front, loss: Loss = "normal") -> tuple[Observable, ...]:
-    """Observables that a model predicts."""
-    return tuple(EVERY[name](loss=loss) for name in model.observes)

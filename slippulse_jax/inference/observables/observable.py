@@ -6,7 +6,7 @@ has its own. Data of several observables add up.
 """
 
 import dataclasses
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import jax
@@ -297,15 +297,6 @@ class Observable:
     def extent(self, m: Measurements) -> np.ndarray | None:
         """Extent over the block of each row, for pictures, if any."""
         return None
-
-
-def joined(every: Sequence[Observations]) -> Observations:
-    """Data of several observables that are predicted as those of the first."""
-    first, start = every[0], np.cumsum([0, *(len(data.inputs.poisson.base) for data in every)])
-    rows = np.concatenate([data.rows + at for data, at in zip(every, start, strict=False)])
-    linear = ((data.inputs, data.scale, data.offset) for data in every)
-    inputs, scale, offset = jax.tree.map(lambda *each: np.concatenate(each), *linear)
-    return first._replace(inputs=inputs, rows=rows, scale=scale, offset=offset) if len(every) > 1 else first
 
 
 def of_one(model: Front, inputs: Inputs, relaxed: bool, *, observable: Observable, options: tuple[Any, ...] = ()) -> Array:

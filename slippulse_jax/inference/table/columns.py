@@ -4,16 +4,18 @@ From a row follow how the column is read and checked, the names suggested for a 
 docstrings of `Measurements` and `Gauges`, and the tables of the documentation. Loads no JAX.
 """
 
+import dataclasses
 import math
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from textwrap import wrap
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple, TypeVar, dataclass_transform, get_args
 from unicodedata import normalize
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from slippulse_jax.base.choices import ContactLaw, Control, Top
 from slippulse_jax.base.domains import (
@@ -25,6 +27,7 @@ from slippulse_jax.base.domains import (
     THRESHOLD_SLOPE,
     YOUNG,
     Domain,
+    real_numbers,
 )
 from slippulse_jax.base.files import shortened
 from slippulse_jax.inference.choices import Template
@@ -416,6 +419,75 @@ def _meant(own: str) -> tuple[list[Column], str, bool]:
         return found, unit, bool(found)
     alike = get_close_matches(symbol, [column.value for column in wanted if column.value[0] == symbol[0]], n=1, cutoff=0.8)
     return [column for column in wanted if column.value in alike], unit, False
+
+
+T = TypeVar("T")
+
+
+def converted(*, converter: Callable[[Any], Any], **default: Any) -> Any:
+    """Field of a table that holds what `converter` makes of an argument."""
+    return dataclasses.field(metadata={"converter": converter}, **default)
+
+
+@dataclass_transform(field_specifiers=(converted, dataclasses.field), frozen_default=True, eq_default=False)
+def table(cls: type[T]) -> type[T]:
+    """Make a frozen dataclass, and describe its columns in its docstring."""
+    cls.__doc__ = (cls.__doc__ or "").replace("{columns}", documented(cls.__annotations__))
+    return dataclasses.dataclass(frozen=True, eq=False)(cls)
+
+
+def numbers(x: ArrayLike, name: str = "", unit: str = "") -> np.ndarray:
+    """Convert to a column: quantities to a unit, blanks to NaN."""
+    return np.atleast_1d(real_numbers(name, x, unit, _cell))
+
+
+def _cell(one: Any) -> float:
+    if isinstance(one, bool | np.bool | bytes) or (isinstance(one, str) and not NUMBER.fullmatch(one)):
+        raise TypeError(f"{one!r} is not a number")
+    return math.nan if one is None else float(one)
+
+
+def numbers_or_none(x: ArrayLike | None, name: str = "", unit: str = "") -> np.ndarray | None:
+    """Convert numbers, if they are given."""
+    return None if x is None else numbers(x, name, unit)
+
+
+def entries(x: Sequence[T]) -> tuple[T, ...]:
+    """Convert to a tuple."""
+    return tuple(x)
+
+
+def convert(one: Any) -> list[str]:
+    """Convert the fields of a table; return the columns of numbers given.
+
+    One number, or one text, is repeated.
+    """
+    given, alike, n, first = [], {}, 1, ""
+    for field in (field for field in dataclasses.fields(one) if "converter" in field.metadata):
+        where, converter = f"{one.source}, column {field.name}", field.metadata["converter"]
+        unit = "" if field.name not in EVERY or field.name in IN_LC else EVERY[field.name].si
+        try:
+            value = converter(getattr(one, field.name), *(() if converter is entries else ("", unit)))
+        except (TypeError, ValueError) as error:
+            needed = "a sequence" if converter is entries else "numbers"
+            raise MeasurementError(f"{where}: must be {needed} ({error})") from None
+        if converter is entries and isinstance(getattr(one, field.name), str):
+            alike[field.name] = getattr(one, field.name)
+        object.__setattr__(one, field.name, value)
+        if not isinstance(value, np.ndarray):
+            continue
+        given.append(field.name)
+        if value.ndim != 1 or value.size == 0:
+            raise MeasurementError(f"{where}: must be a non-empty one-dimensional column")
+        if value.size > 1 and first and value.size != n:
+            raise MeasurementError(f"{where}: {value.size} entries, where {first} has {n}")
+        if value.size > 1 and not first:
+            n, first = value.size, field.name
+    for name in given:
+        object.__setattr__(one, name, np.array(np.broadcast_to(getattr(one, name), n)))
+    for name, text in alike.items():
+        object.__setattr__(one, name, (text,) * n)
+    return given
 
 
 def check_needs(given: Collection[str], columns: Mapping[str, str], source: str) -> None:

@@ -4,11 +4,10 @@
 """
 
 import dataclasses
-import math
 import os
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,19 +17,22 @@ from slippulse_jax.base.shown import html, short
 from slippulse_jax.inference.table import tables
 from slippulse_jax.inference.table.columns import (
     COLUMNS,
-    EVERY,
     GAUGE_COLUMNS,
     IN_LC,
-    NUMBER,
     NUMERIC,
     OVER_ALL,
     UNITS_OF_LENGTH,
     MeasurementError,
     check_needs,
     check_rows,
-    documented,
+    convert,
+    converted,
+    entries,
     named,
     named_of_gauges,
+    numbers,
+    numbers_or_none,
+    table,
 )
 
 if TYPE_CHECKING:
@@ -39,75 +41,6 @@ if TYPE_CHECKING:
 
 class MeasurementWarning(UserWarning):
     """Measurements that can be fitted but are probably not what was meant."""
-
-
-T = TypeVar("T")
-
-
-def converted(*, converter: Callable[[Any], Any], **default: Any) -> Any:
-    """Field of a table that holds what `converter` makes of an argument."""
-    return dataclasses.field(metadata={"converter": converter}, **default)
-
-
-@dataclass_transform(field_specifiers=(converted, dataclasses.field), frozen_default=True, eq_default=False)
-def table(cls: type[T]) -> type[T]:
-    """Make a frozen dataclass, and describe its columns in its docstring."""
-    cls.__doc__ = (cls.__doc__ or "").replace("{columns}", documented(cls.__annotations__))
-    return dataclasses.dataclass(frozen=True, eq=False)(cls)
-
-
-def numbers(x: ArrayLike, name: str = "", unit: str = "") -> np.ndarray:
-    """Convert to a column: quantities to a unit, blanks to NaN."""
-    return np.atleast_1d(real_numbers(name, x, unit, _cell))
-
-
-def _cell(one: Any) -> float:
-    if isinstance(one, bool | np.bool | bytes) or (isinstance(one, str) and not NUMBER.fullmatch(one)):
-        raise TypeError(f"{one!r} is not a number")
-    return math.nan if one is None else float(one)
-
-
-def numbers_or_none(x: ArrayLike | None, name: str = "", unit: str = "") -> np.ndarray | None:
-    """Convert numbers, if they are given."""
-    return None if x is None else numbers(x, name, unit)
-
-
-def entries(x: Sequence[T]) -> tuple[T, ...]:
-    """Convert to a tuple."""
-    return tuple(x)
-
-
-def convert(one: Any) -> list[str]:
-    """Convert the fields of a table; return the columns of numbers given.
-
-    One number, or one text, is repeated.
-    """
-    given, alike, n, first = [], {}, 1, ""
-    for field in (field for field in dataclasses.fields(one) if "converter" in field.metadata):
-        where, converter = f"{one.source}, column {field.name}", field.metadata["converter"]
-        unit = "" if field.name not in EVERY or field.name in IN_LC else EVERY[field.name].si
-        try:
-            value = converter(getattr(one, field.name), *(() if converter is entries else ("", unit)))
-        except (TypeError, ValueError) as error:
-            needed = "a sequence" if converter is entries else "numbers"
-            raise MeasurementError(f"{where}: must be {needed} ({error})") from None
-        if converter is entries and isinstance(getattr(one, field.name), str):
-            alike[field.name] = getattr(one, field.name)
-        object.__setattr__(one, field.name, value)
-        if not isinstance(value, np.ndarray):
-            continue
-        given.append(field.name)
-        if value.ndim != 1 or value.size == 0:
-            raise MeasurementError(f"{where}: must be a non-empty one-dimensional column")
-        if value.size > 1 and first and value.size != n:
-            raise MeasurementError(f"{where}: {value.size} entries, where {first} has {n}")
-        if value.size > 1 and not first:
-            n, first = value.size, field.name
-    for name in given:
-        object.__setattr__(one, name, np.array(np.broadcast_to(getattr(one, name), n)))
-    for name, text in alike.items():
-        object.__setattr__(one, name, (text,) * n)
-    return given
 
 
 @table
