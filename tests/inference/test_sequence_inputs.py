@@ -321,7 +321,7 @@ def test_sentences_are_true_of_this_table(dropped, options, said, unsaid):
 
 @pytest.mark.ci
 def test_thresholds_that_scatter_are_a_refit_or_fit_nothing(six):
-    """A fit with the scatter held, by itself."""
+    """A fit with the scatter held, in one round: to half the error that such a fit has."""
     (change,) = (one for one in six.changes if one.name == "threshold_scatter")
     again = sp.fit(measured(), BOTH, fixed={"threshold_scatter": 0.05})
     if np.isnan(change.moves["areal_stiffness"]).all():
@@ -329,7 +329,8 @@ def test_thresholds_that_scatter_are_a_refit_or_fit_nothing(six):
         assert again.p_value < 1e-3
     else:
         moved = np.log(again.values["areal_stiffness"] / six.values["areal_stiffness"])
-        assert change.moves["areal_stiffness"][0] == pytest.approx(moved, abs=0.02)
+        error = again.stderrs["areal_stiffness"] / again.values["areal_stiffness"]
+        assert change.moves["areal_stiffness"][0] == pytest.approx(moved, abs=error / 2)
 
 
 DIGITS = "height_mm,correlation_length_um,poisson,young_GPa,length_mm,length_sigma_mm\n" + "".join(

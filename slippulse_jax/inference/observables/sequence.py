@@ -118,7 +118,7 @@ class PlaceForce(OfSequence):
         found = series.force_at(place, more["error"])
         ends = more["numbered"] & arrested
         if ends.any():
-            found[:, :, ends] = series.force_of_arrest(place[:, ends], more["error"][ends])
+            found[:, :, ends] = series.force_of_arrest(place[:, ends], more["error"][ends], VISIBLE / sites)
         if (own := more["first"] & ends).any():
             found[0][:, own], found[1][:, own] = series.first(VISIBLE / sites)[1][:, None], 0.0
         return np.moveaxis(found, 0, -1) * inputs.get("friction")[:, None, None]
