@@ -89,7 +89,7 @@ def command(
     from slippulse_jax.inference.table.measurements import read_measurements
 
     candidates: dict[str, Any] = (
-        {"candidates": {Path(name).stem: name for name in tables}} if tables else _conditions(conditions)
+        {"candidates": dict(zip(_names(tables), tables, strict=True))} if tables else _conditions(conditions)
     )
     source = click.get_current_context().get_parameter_source
     if tables and (given := [name for name in conditions if source(name) is ParameterSource.COMMANDLINE]):
@@ -115,6 +115,14 @@ def command(
         from slippulse_jax import plot
 
         save_figure(plot.design_figure(found), figure)
+
+
+def _names(tables: tuple[str, ...]) -> list[str]:
+    """Name tables by their files, or by their paths if two are alike."""
+    stems = [Path(name).stem for name in tables]
+    if len({*tables}) < len(tables):
+        raise click.UsageError("--table: the same table twice")
+    return stems if len({*stems}) == len(stems) else list(tables)
 
 
 def _conditions(given: dict[str, Any]) -> dict[str, Any]:
@@ -156,6 +164,8 @@ def _knowledge(
         return prior
     measurements = read_measurements(measured)
     if front_of(measurements).event == "sequence":
+        if prior is not None:
+            raise ValueError(f"{measured}: forces of a sequence, beside --stiffness: give one of the two")
         return Knowledge.from_fit(fit(measurements, bounds=bounds))
     if measurements.in_si != in_si:
         raise ValueError(f"{measured}: the measurements and the candidates must both be in SI form, or neither")

@@ -423,7 +423,7 @@ def design(
     experiments : int
         Length of the planned sequence, in which each experiment adds most to those before it. A candidate may be repeated.
     seed : int
-        Seed of the scrambled Sobol points with which sequences of two or more are evaluated.
+        Seed of the scrambled Sobol points, by which truths and errors are drawn.
 
     Returns
     -------
@@ -452,8 +452,10 @@ def design(
         raise ValueError(f"experiments = {experiments}: must be from 1 to {MOST_EXPERIMENTS}")
     if candidates is not None:
         usual = {"poisson": 0.3, "prestress": 0.0, "threshold_slope": 0.0, "kind": "length", **USUAL}
-        if stated := [name for name, x in given.items() if x is not None and not (name in usual and x is usual[name])]:
+        if stated := [name for name, x in given.items() if x is not None and (np.ndim(x) or x != usual.get(name))]:
             raise ValueError(f"design: {stated[0]} beside candidates: their tables state it")
+        if not candidates:
+            raise ValueError("design: candidates = {}: at least one is needed")
         every, known, tables = [], knowledge, {name: measurements_of(one) for name, one in candidates.items()}
         for name, m in tables.items():
             try:

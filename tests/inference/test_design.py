@@ -553,6 +553,8 @@ def test_forces_tell_what_their_errors_allow():
     [
         ({"candidates": {"a": with_forces()}, "height": 0.03}, "height beside candidates: their tables state it"),
         ({}, "give candidates, or height and sigma"),
+        ({"candidates": {}}, "at least one is needed"),
+        ({"candidates": {"a": with_forces()}, "poisson": [0.3, 0.4]}, "poisson beside candidates"),
         ({"candidates": {"a": with_forces()}}, "scales with σ_s: fit strength too"),
         (
             {
@@ -571,3 +573,21 @@ def test_forces_tell_what_their_errors_allow():
 def test_tables_that_are_no_plan(given, message):
     with pytest.raises(ValueError, match=message):
         sp.design(sp.Knowledge.lognormal(2e10, 0.3, in_si=True), **given)
+
+
+def test_tables_of_one_name_are_told_apart_and_nothing_given_is_ignored(tmp_path):
+    """By their paths; a prior beside forces of a sequence would have been left out."""
+    paths = [tmp_path / folder / "plan.csv" for folder in ("one", "two")]
+    for path, sigma in zip(paths, (0.2, 0.4), strict=True):
+        path.parent.mkdir()
+        lengths = with_forces().drop(columns=["force_N_per_mm", "force_sigma_N_per_mm"]).assign(length_sigma_mm=sigma)
+        lengths.to_csv(path, index=False)
+    known = ["--stiffness", "2e10", "--log-sd", "0.3"]
+    done = CliRunner().invoke(command, [*known, *(x for path in paths for x in ("--table", str(path))), "--json"])
+    assert done.exit_code == 0, done.output
+    assert [one["label"] for one in json.loads(done.stdout)["candidates"]] == list(map(str, paths))
+    twice = CliRunner().invoke(command, [*known, "--table", str(paths[0]), "--table", str(paths[0])])
+    assert (twice.exit_code, "the same table twice" in twice.output) == (BAD_INPUT, True)
+    sequence = "fit_examples/sequence/lengths.csv"
+    both = CliRunner().invoke(command, [*known, "--measured", sequence, "--table", str(paths[0])])
+    assert (both.exit_code, "beside --stiffness" in both.output) == (BAD_INPUT, True)

@@ -11,8 +11,8 @@ friction, blocks on both sides are followed up to the fall, between which a leng
 inputs that differ from what the table states, because they have an error, multiply it by the ratio of lengths that differ in
 that input alone.
 
-The emulator of series is no substitute: on 41 random tables it took 5 to 41 times the processor time, as it follows 30 times
-the events, and gave another verdict on 16, mostly where a length falls at once and a stiff root lies beyond.
+The emulator of series is no substitute: on 41 random tables it took 5 to 41 times the processor time, as it follows up to 36
+times the events, and gave another verdict on 16, often for another root.
 """
 
 import itertools

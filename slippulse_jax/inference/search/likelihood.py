@@ -660,9 +660,9 @@ def density(how: How, numbers: Any, theta: Float[Array, " p"]) -> Float[Array, "
     (exact, kinds, coordinates), (mean, weight, observed, learnt) = how, numbers
     total = (weight * (theta - mean) ** 2).sum() / 2
     for (observables, front, relaxed, options), (own, every) in zip(exact, observed, strict=True):
-        mean, start = _exactly(observables[0], front, relaxed, options, own, theta), 0
+        predicted, start = _exactly(observables[0], front, relaxed, options, own, theta), 0
         for observable, reading in zip(observables, every, strict=True):
-            found = Prediction(mean[start : (start := start + len(reading.sigma))])
+            found = Prediction(predicted[start : (start := start + len(reading.sigma))])
             total = total - observable.log_density(found, reading)
     if kinds:
         own, emulator, read = learnt
