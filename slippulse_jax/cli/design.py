@@ -118,7 +118,7 @@ def command(
 
 
 def _names(tables: tuple[str, ...]) -> list[str]:
-    """Name tables by their files, or by their paths if two are alike."""
+    """Name tables by their files; by paths if two are alike."""
     stems = [Path(name).stem for name in tables]
     if len({*tables}) < len(tables):
         raise click.UsageError("--table: the same table twice")
