@@ -11,7 +11,9 @@ scattered   thresholds that scatter by 5 %, fitted with threshold_scatter = 0.05
 uniform     the same, fitted as if they did not scatter
 fitted      the same as uniform, with model_error = "fitted"
 
-Run: python -m benchmarks sequence_coverage [kind …] [--studies N, 100 by default] [--seed N]
+Of a table of fewer rows, places stand further apart, and events are drawn from those that were seen.
+
+Run: python -m benchmarks sequence_coverage [kind …] [--studies N, 100 by default] [--rows N, 11 by default] [--seed N]
 """
 
 import argparse
@@ -39,7 +41,7 @@ SMALLEST = "--studies 1 ageing events"
 
 HEIGHT, YOUNG, POISSON, NORMAL, LOAD, WIDTH, PUSHER = 30.0, 3.0, 0.3, 1.2, 1000.0, 10.0, 0.1  # mm, GPa, N; k_n/k; over H
 OF_FORCE, OF_PLACE, OF_ARREST, SCATTER = 0.01, 0.005, 0.03, 0.05
-PLACES = np.linspace(0.1, 0.95, 10)
+ROWS = 11
 KINDS = ("places", "load", "ageing", "events", "scattered", "uniform", "fitted")
 
 
@@ -52,8 +54,8 @@ class Study(NamedTuple):
     truth: dict[str, float]
 
 
-def study(kind: str, random: np.random.Generator) -> Study:
-    """Draw a block and what is measured of it."""
+def study(kind: str, random: np.random.Generator, rows: int = ROWS) -> Study:
+    """Draw a block and what is measured of it, in so many rows; of numbered events, in at most so many if fewer than 11."""
     b, friction, at = np.exp(random.uniform(np.log(0.3), np.log(3))), random.uniform(0.2, 0.5), random.uniform(0.1, 0.25)
     contacts, lengths = int(random.choice([30, 36, 40])), random.choice([2.5, 3.0, 3.5])
     ageing = (random.uniform(0.3, 0.85), np.exp(random.uniform(np.log(0.4), np.log(3)))) if kind == "ageing" else None
@@ -66,8 +68,12 @@ def study(kind: str, random: np.random.Generator) -> Study:
         events = independent_sequence.visible(events)
     reached = np.minimum(np.maximum.accumulate([event.length for event in events]), sites)
     forces = np.array([event.force for event in events])
-    place = reached if kind == "events" else np.append(PLACES, 1.0) * sites
+    place = reached if kind == "events" else np.append(np.linspace(0.1, 0.95, rows - 1) if rows > 2 else 0.5, 1.0) * sites
     force = friction * LOAD * forces[np.searchsorted(reached, place - 1e-9)]
+    number = 1 + np.arange(place.size)
+    if kind == "events" and rows < min(ROWS, place.size):
+        kept = np.sort(random.permutation(place.size)[:rows])
+        place, force, number = place[kept], force[kept], number[kept]
     spans, error = place >= sites, (OF_ARREST if kind == "events" else OF_PLACE) * place
     noise = random.standard_normal((2, place.size))
     measured = np.where(spans, place, np.minimum(place + error * noise[0], sites))
@@ -79,7 +85,7 @@ def study(kind: str, random: np.random.Generator) -> Study:
         "length_sigma_mm": np.where(spans, np.nan, error * contact), "spans": np.where(spans, "yes", "no"),
     }  # fmt: skip
     table |= {} if kind == "load" else {"normal_load_N": LOAD}
-    table |= {"event": 1 + np.arange(place.size)} if kind == "events" else {}
+    table |= {"event": number} if kind == "events" else {}
     free, truth = ["stiffness", "friction"], {"areal_stiffness": b * YOUNG * 1e9 / (2 * (1 + POISSON) * HEIGHT * 1e-3)}
     truth["friction"] = friction
     if kind == "load":
@@ -129,11 +135,11 @@ class Tally:
         print(f"  {self.far} numbers off by more than three of their errors")
 
 
-def coverage(studies: int, kind: str, seed: int = 0) -> Tally:
-    """Fit so many studies of a kind."""
+def coverage(studies: int, kind: str, seed: int = 0, rows: int = ROWS) -> Tally:
+    """Fit so many studies of a kind, each of so many rows."""
     tally = Tally()
     for number in range(studies):
-        one = study(kind, np.random.default_rng([seed, number]))
+        one = study(kind, np.random.default_rng([seed, number]), rows)
         tally.add(sp.fit(pd.DataFrame(one.table), one.free, **one.options), one.truth)
     return tally
 
@@ -143,11 +149,12 @@ def main() -> None:
     asked = argparse.ArgumentParser(description="Coverage of fits of sequences.")
     asked.add_argument("--studies", type=int, default=100)
     asked.add_argument("kinds", nargs="*", metavar="kind", help=f"of {', '.join(KINDS)}; all by default")
+    asked.add_argument("--rows", type=int, default=ROWS)
     asked.add_argument("--seed", type=int, default=0)
     given = asked.parse_args()
     for kind in given.kinds or KINDS:
         began = time.perf_counter()
-        coverage(given.studies, kind, given.seed).show(kind)
+        coverage(given.studies, kind, given.seed, given.rows).show(kind)
         print(f"  {time.perf_counter() - began:.0f} s", flush=True)
 
 

@@ -30,10 +30,8 @@ from slippulse_jax.inference.result.result import FitResult
 from slippulse_jax.inference.result.verdict import judge
 from slippulse_jax.inference.search.intervals import (
     LEVELS,
-    Interval,
     Intervals,
     allowed,
-    allowed_by_counts,
     calibrated,
     can_be_calibrated,
     profile,
@@ -58,9 +56,7 @@ from slippulse_jax.inference.search.minima import (
     Found,
     Root,
     between_contacts,
-    describe,
     first_look,
-    grid_of,
     ordered,
     same,
     scaled_to_scatter,
@@ -182,9 +178,7 @@ def fit(
     check_model_error(problem, model_error)
     options: dict[str, Any] = {"method": method, "max_steps": max_steps, "seed": seed}
     whole = problem.parameters
-    if problem.only_counts and not front.interpolated:
-        explored = _by_counts(problem, **options)
-    elif scaled:
+    if scaled:
         explored = _by_scatter(problem, **options)
     elif problem.emulates:
         explored = _by_learning(problem, model_error, **options)
@@ -192,15 +186,14 @@ def fit(
         explored = _by_search(problem, **options)
     problem, found, between = explored.problem, explored.found, explored.between
     limits = {level: found.deviance + rise_of(level, dof=found.scatter_dof) for level in LEVELS}
-    profiled = explored.profiled or {j: allowed(problem, j, curve, limits) for j, curve in found.curves.items()}
+    profiled = {j: allowed(problem, j, curve, limits) for j, curve in found.curves.items()}
     simulated: dict[int, tuple[Intervals, tuple[float, float]]] = {}
-    if explored.profiled is None and not scaled and to_be_simulated(problem, intervals, found, profiled):
+    if not scaled and to_be_simulated(problem, intervals, found, profiled):
         with _progress(problem) as shown:
             simulated = {0: calibrated(shown, seed)}
     problem = dataclasses.replace(problem, parameters=whole)  # and not only where a model was followed
     longest, longest_at = problem.parameters.attainable(found.theta)
-    # counts at odds are named; the search of such a misfit need not converge
-    unconverged = [] if explored.profiled else [start for start in found.unconverged if start[0] <= limits[LEVELS[-1]]]
+    unconverged = [start for start in found.unconverged if start[0] <= limits[LEVELS[-1]]]
     found = found._replace(
         unconverged=unconverged,
         roots=tuple(root for root in found.minima if root.deviance <= limits[LEVELS[-1]]),
@@ -210,8 +203,7 @@ def fit(
     )
     names = {j: problem.parameters.names[j] for j in profiled}
     judged = {
-        names[j]: judge(problem, found, j, pieces, simulated[j][0] if simulated else pieces, explored.at_odds)
-        for j, pieces in profiled.items()
+        names[j]: judge(problem, found, j, pieces, simulated[j][0] if simulated else pieces) for j, pieces in profiled.items()
     }
     return FitResult(
         measurements=measurements,
@@ -255,19 +247,6 @@ class Explored(NamedTuple):
     problem: Problem
     found: Found
     between: np.ndarray | None = None  # error of each length by interpolation, in λc
-    profiled: dict[int, dict[float, list[Interval]]] | None = None  # intervals, where counts give them
-    at_odds: list[int] | None = None  # counts at odds with the others
-
-
-def _by_counts(problem: Problem, **options: Any) -> Explored:
-    """Take the ranges in which all counts hold."""
-    ranges, at_odds = allowed_by_counts(problem)
-    if ranges:
-        found = _of_counts(problem, ranges)
-    else:
-        with _progress(problem) as shown:
-            found = _explore(shown, **options)
-    return Explored(problem, found, None, {0: dict.fromkeys(LEVELS, ranges)}, at_odds)
 
 
 def _by_search(problem: Problem, **options: Any) -> Explored:
@@ -339,15 +318,6 @@ def _check_calibrated(problem: Problem, intervals: str, scaled: bool) -> None:
         raise ValueError("calibrated intervals need absolute standard errors: sigma = 'absolute'")
     if not can_be_calibrated(problem):
         raise ValueError("calibrated intervals: for one parameter, and values with Gaussian errors")
-
-
-def _of_counts(problem: Problem, ranges: list[Interval]) -> Found:
-    """Put a root in every range that counts allow, softest first."""
-    middle = np.array([[(piece.low + piece.high) / 2] for piece in ranges])
-    value = 2 * problem(middle).value
-    minima = [describe(problem, point, float(v)) for point, v in zip(middle, value, strict=True)]
-    curve = profile(problem, 0, minima, middle, grid_of(problem))
-    return Found(minima, middle[0], float(value.min()), [], None, {0: curve})
 
 
 def _by_scatter(problem: Problem, **options: Any) -> Explored:

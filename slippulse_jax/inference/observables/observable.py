@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from slippulse_jax.inference.result.result import Compared, FitResult
 
 STUDENT_DOF = 4.0
-SHARPEST = 1e-3
+SHARPEST = 1e-4
 """Blur, in λc, used for σ = 0 at the ends of a count's interval, so that the likelihood has a slope there."""
 
 

@@ -321,7 +321,7 @@ def posterior(
     if diverging.any():
         ends = "; counts and limits without a σ have ends that it cannot follow: give one, or use the intervals of the fit"
         share = f"{diverging.sum()} of {diverging.size} samples diverged, and where they did the posterior is not to be trusted"
-        warnings.warn(share + ends * result.problem.only_counts, RuntimeWarning, stacklevel=2)
+        warnings.warn(share + ends * result.problem.sharp, RuntimeWarning, stacklevel=2)
     return Samples("posterior", seed, result.parameters.free, theta, diverging=diverging)
 
 

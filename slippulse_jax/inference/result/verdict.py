@@ -67,24 +67,18 @@ class Verdict(NamedTuple):
     reason: str = ""
 
 
-def judge(
-    problem: Problem, found: Found, j: int, profiled: Intervals, reported: Intervals, at_odds: list[int] | None = None
-) -> tuple[Verdict, Intervals]:
+def judge(problem: Problem, found: Found, j: int, profiled: Intervals, reported: Intervals) -> tuple[Verdict, Intervals]:
     """Judge whether parameter j has an error; return its intervals too.
 
-    `found` with what follows from it, as `testable_dof`. `profiled` are the profile-likelihood intervals of θ_j, or those that
-    counts allow; `reported` the same, or those of simulated measurements. Of counts without an error, `at_odds` are those at
-    odds with the others.
+    `found` with what follows from it, as `testable_dof`. `profiled` are the profile-likelihood intervals of θ_j; `reported` the
+    same, or those of simulated measurements.
     """
     pieces = profiled[LEVELS[-1]]
-    if at_odds is None:
-        withheld = itertools.chain(
-            _of_fit(problem, found, j), _of_range(problem, found, j, pieces), _of_shape(problem, found, j, profiled)
-        )
-    else:
-        withheld = _of_counts(problem, pieces, at_odds)
+    withheld = itertools.chain(
+        _of_fit(problem, found, j), _of_range(problem, found, j, pieces), _of_shape(problem, found, j, profiled)
+    )
     verdict = next(withheld, Verdict(Identifiability.IDENTIFIED))
-    equal = at_odds is not None and verdict.identifiability is Identifiability.EQUAL
+    equal = verdict.identifiability is Identifiability.EQUAL and problem.sharp
     if equal or verdict.identifiability in (Identifiability.IDENTIFIED, Identifiability.SKEWED):
         verdict = _breaks_again(problem, found.curves[j], j, reported[LEVELS[-1]]) or verdict
     # without intervals that would measure a misfit instead of the parameter
@@ -102,7 +96,7 @@ def _of_fit(problem: Problem, found: Found, j: int) -> Iterator[Verdict]:
     p_value = problem.p_value(found.theta, found.deviance, dof)
     if found.unconverged:
         yield Verdict(Identifiability.NOT_CONVERGED, f"a start {found.unconverged[0][1]}")
-    if not problem.predict(found.theta).any():
+    if not problem.predict(found.theta).any() and problem.measurements.length.max() > 1:  # a count of one holds there
         yield Verdict(Identifiability.UNINFORMATIVE, "nothing in the range searched starts a domino: every length is zero")
     if (
         p_value is not None and p_value < problem.improbable and not _above_maximum(problem, found)
@@ -262,21 +256,6 @@ def whole_events(m: Measurements) -> str:
     if m.gauges is not None or m.block_length is not None or m.machine_stiffness is not None:
         return "a fit of whole events takes no gauges, ends or machines"
     return "if whole events were measured, give " + m.option("--event full", 'event="full"')
-
-
-def _of_counts(problem: Problem, pieces: list[Interval], at_odds: list[int]) -> Iterator[Verdict]:
-    """Judge whether one range of values, several or none give all counts."""
-    m = problem.measurements
-    if not pieces:
-        where = ", ".join(m.number(i) for i in at_odds)
-        without = f"all counts; without {where} the others agree" if len(at_odds) < len(m) else "any of the counts"
-        yield Verdict(Identifiability.POOR_FIT, f"no value in the range searched gives {without}")
-    if len(pieces) > 1:
-        yield Verdict(Identifiability.SEVERAL_ROOTS, f"the counts hold from {_ranges(problem.parameters.free[0], pieces)}")
-    if pieces[0].open_low and pieces[0].open_high:
-        yield Verdict(Identifiability.UNINFORMATIVE, "the counts hold everywhere in the range searched")
-    yield from open_ended(problem.parameters.free[0], pieces)
-    yield Verdict(Identifiability.EQUAL, "every value in the interval gives all counts")
 
 
 def _ranges(one: Free, pieces: list[Interval]) -> str:

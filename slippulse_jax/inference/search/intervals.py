@@ -1,4 +1,4 @@
-"""Intervals of a parameter: by profile likelihood, by simulation, by counts.
+"""Intervals of a parameter: by profile likelihood, or by simulation.
 
 The length rises with stiffness, peaks and falls again, so that the likelihood can have two maxima, a broad top, or an open
 side. A curvature at the best point misses that. A profile-likelihood interval does not: it is the set of values whose
@@ -9,11 +9,6 @@ Near the longest attainable length, and where two valleys compete, the rise of t
 distributed as χ². Feldman and Cousins (Phys. Rev. D 57, 3873, 1998) take the distribution that it does have: at each value
 measurements are drawn, each is fitted, and the quantile of the rise replaces that of χ² (`calibrated`), where one parameter is
 fitted. Every such fit is a search of one table of predictions, in units of σ; a prior is a datum like any other.
-
-A count without an error of its own holds or does not: n contacts are counted where n − 1 < ℓ ≤ n, one also where no domino
-starts. For one fitted parameter the ends of that set are crossings of ℓ with n − 1 and n, on either side of every peak; with
-several measurements it is the intersection (`allowed_by_counts`). The set is the answer; or there is none, and some counts
-are at odds.
 """
 
 import dataclasses
@@ -24,7 +19,7 @@ from scipy.special import chdtri, fdtri
 
 from slippulse_jax.inference.choices import IntervalsBy
 from slippulse_jax.inference.search.likelihood import Problem
-from slippulse_jax.inference.search.minima import SLACK, Curve, DevianceGrid, Found, Root, first_edges
+from slippulse_jax.inference.search.minima import SLACK, Curve, DevianceGrid, Found, Root
 from slippulse_jax.inference.search.minimise import minimise
 
 LEVELS = (0.6827, 0.95)
@@ -46,7 +41,6 @@ STRAIGHT = 1.15
 HOPELESS = 25.0  # rise of D above which a value is excluded at any calibration
 NARROWEST = 1e-10  # part of the range of a parameter that is not divided
 SLIGHT = 1e-3  # difference of two deviances that is none
-HALVINGS = 48  # of a bracket between two nodes: to rounding
 
 
 class Interval(NamedTuple):
@@ -310,41 +304,3 @@ def _below(node: np.ndarray, excess: np.ndarray) -> list[Interval]:
     return pieces_of(
         node, inside, [float(node[i] + step[i] * excess[i] / (excess[i] - excess[i + 1])) for i in _changes(inside)]
     )
-
-
-# --- by counts --------------------------------------------------------------------------------------------------------
-
-
-def allowed_by_counts(problem: Problem) -> tuple[list[Interval], list[int]]:
-    """Values under which every count holds, as pieces in increasing order.
-
-    If there are none: the fewest measurements without which there would be some, by index.
-
-    Between two nodes of the grid, which has the peak of every length among them, each length is taken to be monotonic.
-    """
-    value = np.concatenate([data.value[0] for data in problem.observed])
-    counted = np.concatenate([np.full(len(data.rows), data.observable.counts) for data in problem.observed])
-    row = np.concatenate([data.measurement for data in problem.observed])
-    edge = first_edges(problem)[0]
-    length = problem.predictions(edge[:, None])
-    # a count holds between n − 1 and n, a front without arrest from the length it ran past
-    limits = [(i, x) for i in range(len(value)) for x in ((value[i] - 1, value[i]) if counted[i] else (value[i],))]
-    datum = np.array([i for i, _ in limits])
-    limit = np.array([x for _, x in limits])
-    above = length[:, datum] > limit
-    cell, which = np.nonzero(above[1:] != above[:-1])
-    low, high = edge[cell], edge[cell + 1]
-    rises = above[cell + 1, which]
-    rows = np.arange(len(cell))
-    for _ in range(HALVINGS if len(cell) else 0):
-        middle = (low + high) / 2
-        beyond = (problem.predictions(middle[:, None])[rows, datum[which]] > limit[which]) == rises
-        low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
-    ends = np.unique(np.concatenate([edge[[0, -1]], high]))
-    found = problem.predictions(((ends[1:] + ends[:-1]) / 2)[:, None])
-    holds = np.where(counted, (found <= value) & ((found > value - 1) | (value <= 1)), found >= value)
-    inside = np.atleast_1d(holds.all(axis=1))
-    if not inside.any():
-        best = int(np.argmax(holds.sum(axis=1)))
-        return [], np.sort(row[~holds[best]]).tolist()
-    return pieces_of(ends, inside, ends[1:-1][_changes(inside)].tolist()), []

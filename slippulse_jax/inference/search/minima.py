@@ -277,13 +277,15 @@ def first_edges(problem: Problem) -> list[np.ndarray]:
     if p == 1:
         offsets = np.concatenate([[0.0], np.geomspace(1e-6, 0.1, 24)])
         near = [top + side * offsets for top in _tops(problem) for side in (-1, 1)]
+        near.append(_counted(problem, 0, q.low, (1.0, 0.0)))
+        near.append((near[-1][1:] + near[-1][:-1]) / 2)  # between ends of counts, where some hold together
         every = np.unique(np.concatenate([edges[0], *near]))
         edges = [every[(every >= q.low[0]) & (every <= q.high[0])]]
     return edges
 
 
-def _counted(problem: Problem, j: int, at: np.ndarray) -> np.ndarray:
-    """Values of θ_j at which lengths are amid their counts.
+def _counted(problem: Problem, j: int, at: np.ndarray, below: Sequence[float] = (0.5,)) -> np.ndarray:
+    """Values of θ_j at which lengths are amid their counts, or so far below.
 
     A count may hold in a range narrower than the grid's.
     """
@@ -291,13 +293,14 @@ def _counted(problem: Problem, j: int, at: np.ndarray) -> np.ndarray:
     theta = np.tile(at, (NODES[1], 1))
     theta[:, j] = np.linspace(q.low[j], q.high[j], NODES[1])
     for data in (data for data in problem.observed if data.observable.counts):
-        off = problem.predicted(theta, data) - (data.value[0] - 0.5)
-        node, which = np.nonzero((off[1:] >= 0) != (off[:-1] >= 0))
-        with np.errstate(invalid="ignore"):
-            share = off[node, which] / (off[node, which] - off[node + 1, which])
-        share = np.where(np.isfinite(share), share, 0.5)
-        found.append(theta[node, j] + share * (theta[node + 1, j] - theta[node, j]))
-    return np.concatenate(found)
+        length = problem.predicted(theta, data)
+        for off in (length - data.value[0] + by for by in below):
+            node, which = np.nonzero((off[1:] >= 0) != (off[:-1] >= 0))
+            with np.errstate(invalid="ignore"):
+                share = off[node, which] / (off[node, which] - off[node + 1, which])
+            share = np.where(np.isfinite(share), share, 0.5)
+            found.append(theta[node, j] + share * (theta[node + 1, j] - theta[node, j]))
+    return np.sort(np.concatenate(found))
 
 
 def _starts(problem: Problem, grid: DevianceGrid | None, seed: int) -> np.ndarray:

@@ -23,7 +23,7 @@ BEND_KEPT = 4  # steps for which its part beside the metric is kept, which costs
 AT_SIDE = 12.0  # of an optimiser of optax: |z| from which on θ is at a side of the box
 ADAM_STEPS = 20  # of optax.adam for each one allowed
 PROMISING, PATIENCE = 8.0, 5  # half the deviance above the least of starts that go on, and for how many times the steps
-BLURS, BLURRED = (1.0, 0.1, 0.01), 1e-2
+BLURS, BLURRED = (1.0, 0.1, 0.01, 0.001), 1e-2
 """Blurs, in λc, through which the edges of counts are sharpened, and the Newton decrement at which each is left."""
 
 
@@ -100,10 +100,10 @@ def minimise(
 def descend(problem: Problem, start: np.ndarray, **options: Any) -> Descents:
     """Minimise a deviance, through ever sharper counts and limits.
 
-    With several parameters: no step follows the edges of counts.
+    No step follows their edges.
     """
     low, high = problem.parameters.low, problem.parameters.high
-    sharp = problem.p > 1 and problem.blurred(BLURS[0]) is not problem
+    sharp = problem.blurred(BLURS[0]) is not problem
     for blur in BLURS if sharp else ():
         first = options | {"method": "lm", "max_steps": GAUSS_NEWTON_STEPS - 1, "tolerance": BLURRED}
         start = minimise(problem.blurred(blur), start, low, high, **first).theta
