@@ -35,7 +35,7 @@ from slippulse_jax.inference.search.learning import followed, learnt, model_erro
 from slippulse_jax.inference.search.likelihood import Problem, make_problem
 from slippulse_jax.inference.search.minima import DevianceGrid, between_contacts, first_look, ordered, search
 from slippulse_jax.inference.search.minimise import minimise
-from slippulse_jax.inference.table.columns import COLUMNS, IN_LC
+from slippulse_jax.inference.table.columns import COLUMNS, IN_LC, NUMERIC
 from slippulse_jax.inference.table.measurements import Measurements
 
 if TYPE_CHECKING:
@@ -409,7 +409,8 @@ def _of_bodies(result: "FitResult") -> Iterator[Change]:
         what = f"a pusher {NARROW_PUSHER} (column push_width{unit} states it)"
         yield _again(result, "push_width", what, [narrow], stiff, front=BlockEvent(narrow, tried=True))
     if not block and relaxed and q.front.event == "domino" and not m.or_zero("threshold_slope").any():
-        lengths = dataclasses.replace(m, **dict.fromkeys(BlockEvent.refused))
+        refused = [name for name in (*NUMERIC, "gauges") if name.removesuffix("_sigma") in BlockEvent.refused]
+        lengths = dataclasses.replace(m, **dict.fromkeys(refused))
         wanted = [one for one in q.wanted if one.name != "strength"]
         if m.push_height is None:
             pushed = [dataclasses.replace(lengths, push_height=at * m.height) for at in PUSHES]

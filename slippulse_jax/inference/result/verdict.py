@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import chdtrc
 
-from slippulse_jax.base.shown import format_number
+from slippulse_jax.base.shown import format_number, listed
 from slippulse_jax.inference.parameters import STIFFNESSES, Free, ParameterSet
 from slippulse_jax.inference.search.intervals import LEVELS, Interval, Intervals, rise_of
 from slippulse_jax.inference.search.likelihood import Problem
@@ -207,7 +207,7 @@ def _several(problem: Problem, found: Found, j: int, pieces: list[Interval]) -> 
         near = max(near, float(np.sqrt(rise_of(LEVELS[0], dof=found.scatter_dof) * roots[0].covariance[j, j])))
     apart = [value for i, value in enumerate(values) if i == 0 or abs(free.theta(value) - free.theta(values[i - 1])) > near]
     if len(apart) > 1:
-        named = f"{' and '.join(map(format_number, apart))} {free.unit}".rstrip()
+        named = f"{listed([*map(format_number, apart)])} {free.unit}".rstrip()
         yield Verdict(Identifiability.SEVERAL_ROOTS, f"the data fit at {named}" + "; the interval joins them" * joined)
 
 
