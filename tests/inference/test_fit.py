@@ -11,11 +11,11 @@ import pytest
 from reports import moves, section, unfolded
 
 from slippulse_jax import Measurements, Parameter, fit, plot, read_measurements
+from slippulse_jax.base.shown import interval, value_with_error
 from slippulse_jax.inference.model.front import RISING
 from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.model.slider import FirstFront
 from slippulse_jax.inference.result.changes import of_inputs, total
-from slippulse_jax.inference.result.report import interval, value_with_error
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.inference.search import minima
 from slippulse_jax.inference.search.intervals import Interval

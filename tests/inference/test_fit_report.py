@@ -12,11 +12,11 @@ from reports import moves, section, unfolded
 from scipy.optimize import minimize
 
 import slippulse_jax as sp
+from slippulse_jax.base.shown import value_with_error
 from slippulse_jax.cli.fit import command
 from slippulse_jax.inference.model.family import Families
 from slippulse_jax.inference.model.inputs import Inputs
 from slippulse_jax.inference.result.changes import PUSHES, Change, of_inputs, total_intervals, total_of_ratio
-from slippulse_jax.inference.result.report import value_with_error
 from slippulse_jax.inference.result.verdict import Identifiability
 from slippulse_jax.inference.search.intervals import LEVELS, Interval
 

@@ -14,7 +14,8 @@ from slippulse_jax.inference.model.series import BlockSeries
 from slippulse_jax.inference.observables import PlaceForce
 from slippulse_jax.inference.observables.sequence import no_record, record_of
 from slippulse_jax.inference.parameters import PARAMETERS, Parameter, checked, parameter_set, stated_errors, suspicions
-from slippulse_jax.inference.result.report import _holds_for, _of_model, _of_sigma
+from slippulse_jax.inference.result.remarks import _of_model, _of_sigma
+from slippulse_jax.inference.result.report import _holds_for
 from slippulse_jax.inference.table.columns import MeasurementError
 
 EVENTS = """

@@ -1,7 +1,7 @@
 """Lengths of precursors: values, counts of contacts, and lower limits."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import jax.numpy as jnp
@@ -81,6 +81,13 @@ class Length(Observable):
                 ]
             )
         return rows
+
+    def details(self, result: "FitResult") -> Iterator[str]:
+        """Broken contacts, and the longest length of each measurement."""
+        m, (scale, unit) = result.measurements, result.measurements.unit
+        yield "broken contacts, and the longest length attainable at any stiffness searched:"
+        for i, broken in enumerate(result.contacts_broken):
+            yield f"  {m.number(i)}: {broken if broken > 0 else 'all'}, {result.attainable[i] * scale[i]:.5g} {unit}"
 
     def options(self, model: Front, data: Observations, low: np.ndarray, high: np.ndarray) -> tuple[Any, ...]:
         """What the model needs of the largest height of each row."""

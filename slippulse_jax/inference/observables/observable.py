@@ -290,6 +290,10 @@ class Observable:
         """Remarks to read before using the numbers."""
         return iter(())
 
+    def details(self, result: "FitResult") -> Iterator[str]:
+        """Further lines of a verbose report."""
+        return iter(())
+
     def runs(self, m: Measurements) -> np.ndarray | None:
         """Number of the sequence of each row, (n,), if any."""
         return None

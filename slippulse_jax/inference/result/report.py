@@ -1,56 +1,31 @@
-"""Report of a fit as text, with its notes."""
+"""Report of a fit as text."""
 
 import itertools
 import math
 import re
 import textwrap
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import ndtr
 
-from slippulse_jax.base.shown import AS_GIVEN, TIED, ends, format_number, html, interval, listed, plural, value_with_error
+from slippulse_jax.base.shown import AS_GIVEN, TIED, ends, format_number, html, listed, plural, value_with_error
 from slippulse_jax.block import USUAL_NORMAL_STIFFNESS
-from slippulse_jax.inference.model.front import ENDED, SCATTERED
-from slippulse_jax.inference.parameters import OF_MEASURING, STIFFNESSES, Free
-from slippulse_jax.inference.result.changes import (
-    END,
-    MANY,
-    MOST_CONTACTS,
-    NARROW_PUSHER,
-    NORMAL,
-    STATED,
-    Change,
-    of_inputs,
-    size_from_scatter,
-)
-from slippulse_jax.inference.result.verdict import (
-    ANSWERS,
-    FAQ,
-    GIVEN,
-    GRAVITY,
-    PLATEAU,
-    Identifiability,
-    whole_events,
-)
-from slippulse_jax.inference.search.intervals import LEVELS, Interval, Intervals
+from slippulse_jax.inference.model.front import ENDED
+from slippulse_jax.inference.parameters import STIFFNESSES
+from slippulse_jax.inference.result.changes import MANY, NARROW_PUSHER, NORMAL, STATED, Change, of_inputs
+from slippulse_jax.inference.result.values import Shown, error_source, fitted_beside, with_totals
+from slippulse_jax.inference.result.verdict import ANSWERS, FAQ, GRAVITY, Identifiability, whole_events
+from slippulse_jax.inference.search.intervals import LEVELS
 from slippulse_jax.inference.search.minima import SLACK
-from slippulse_jax.inference.table.columns import COLUMNS, UNITS_OF_LENGTH
-from slippulse_jax.inference.table.measurements import Measurements
-from slippulse_jax.theory import length_ceiling, rebreaking_b
+from slippulse_jax.inference.table.columns import COLUMNS
+from slippulse_jax.theory import rebreaking_b
 
 if TYPE_CHECKING:
     from slippulse_jax.inference.result.result import FitResult
 
-WITHOUT_VALUE = {
-    Identifiability.EQUAL: "any in the interval",
-    Identifiability.ONE_SIDED: "bounded only",
-    Identifiability.UNINFORMATIVE: "any",
-}
-"""Verdicts under which no value is preferred."""
 NOTHING_HOLDS = GRAVITY[: 1 + GRAVITY.index(Identifiability.AT_MAXIMUM)]
 """Verdicts that leave nothing to hold for a body."""
 CONSTANTS = {
@@ -70,9 +45,6 @@ MOST_ROOTS, MOST_RATIOS = 4, 6
 """Most points that fit, and most ratios of stiffnesses between all pairs of specimens, that are listed."""
 POWER, DIGITS = re.compile(r"(?<=[\d)])e(-?\d+)(?![\w\]])"), str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 """A power of ten as the report writes it, ``e10``, and the digits of exponents in a paper."""
-UNEVEN, UNEVEN_TOTAL = 0.2, 0.1
-"""Relative difference between a side of the 68 % interval and the standard error, without and with inputs taken as exact, above
-which the error is given as an interval."""
 
 
 def report(result: "FitResult", *, verbose: bool = False) -> str:
@@ -80,8 +52,9 @@ def report(result: "FitResult", *, verbose: bool = False) -> str:
 
     `verbose` adds the model, the range searched, all intervals, fitted inputs, correlations, the regime, and contacts broken.
     """
-    remarks = [note for note in result.notes if note not in result.suspicions]
-    lists, shown = {"What to try next": result.next_steps, "Remarks": remarks}, _with_totals(result)
+    _, steps = result.totals, result.next_steps  # by refits, before anything is written
+    lists = {"What to try next": steps, "Remarks": [note for note in result.notes if note not in result.suspicions]}
+    shown = with_totals(result)
     said = [*_sentences(result, shown), *_answered(result)]
     box = [*_values(result, shown), *(line for text in said for line in _folded(text, 110))]
     width = max(map(len, box))
@@ -99,7 +72,7 @@ def report(result: "FitResult", *, verbose: bool = False) -> str:
 
 def methods(result: "FitResult") -> str:
     """Write sentences for the methods section of a paper."""
-    m, q, shown = result.measurements, result.parameters, _with_totals(result)
+    m, q, shown = result.measurements, result.parameters, with_totals(result)
     scale, unit = m.unit
     heights = ("a height of " if np.ptp(m.height * scale) == 0 else "heights of ") + ends(m.height * scale, AS_GIVEN)
     how = f"by maximum likelihood (slippulse_jax {version('slippulse_jax')})"
@@ -122,14 +95,14 @@ def methods(result: "FitResult") -> str:
     if usual and any(one.wider for one in told):
         which = "Error and interval include" if given else "The interval includes"
         said.append(f"{which} usual errors of {listed([f'{sign} ({by})' for sign, by in usual])}.")
-    fitted = dict.fromkeys(f"{one.symbol} = {shown[one.label].prior}" for one in _beside(result))  # what is shared, once
+    fitted = dict.fromkeys(f"{one.symbol} = {shown[one.label].prior}" for one in fitted_beside(result))  # what is shared, once
     if fitted and given:
         said.append(f"Also fitted, within their errors: {listed([*fitted])}.")
     if any(one.wider for one in told):
         alone = [one.equals(one.own) for one in told if one.whole]
         values = f"{listed(alone)}, and " if alone else ""
         own = f"the 95 % interval is {listed([one.within(one.intervals) for one in told])}"
-        said.append(_sentence(f"{_alone(result)}, {values}{own}"))
+        said.append(_sentence(f"{error_source(result)}, {values}{own}"))
     if given:
         said += ["The error of the model is not included."] * all(one.name != "model_factor" for one in q.free)
         said += [_prose(_of_real_block(change)) for change in result.changes if change.name == "block"]
@@ -163,151 +136,15 @@ def _held(result: "FitResult") -> list[str]:
     return [f"{name} = {format_number(value, AS_GIVEN)}" for name, value in result.parameters.held.items()]
 
 
-def _beside(result: "FitResult") -> list[Free]:
-    """Inputs and the like, fitted only because of their errors."""
-    return [one for one in result.parameters.free if one.nuisance and one.name != "arrest"]
-
-
-def _alone(result: "FitResult") -> str:
-    """State what the errors without those of inputs come from."""
-    beside = {one.name for one in _beside(result)}
-    rows = result.main.rows_are
-    other = sorted({result.observable(one.observable).several for one in result.further})
-    other += ["priors"] * any(math.isfinite(one.prior_sigma) for one in result.parameters.free if not one.nuisance)
-    other += ["stated errors"] * bool(beside - {*OF_MEASURING}) + ["shared errors"] * bool(beside & {*OF_MEASURING})
-    return f"from {listed([rows, *other])} only" if other else f"from the {rows} only"
-
-
-# --- parameters as they are shown -----------------------------------------------------------------------------------------
-
-
-class Shown(NamedTuple):
-    """A fitted parameter, or k/K from one, as the report writes it."""
-
-    symbol: str
-    unit: str
-    size: float  # of one in SI, or without a unit, in that unit
-    prior: str  # ``0 ± 0.5 mm``; empty without one
-    own: str  # its value with the error from the data, or why there is none
-    whole: str  # with the usual errors of inputs too; empty where there are none to add
-    intervals: dict[float, str]  # by level
-    wider: dict[float, str]  # with these errors; empty likewise
-    sides: np.ndarray  # distances of the ends of its 68 % interval from it, over its error; inf where it lacks either
-
-    def in_words(self, result: "FitResult") -> str:
-        """Write ``k/λc² = (1.96 ± 0.17)e10 Pa/m`` and the error alone."""
-        return self.equals(self.whole or self.own) + (f"; {self.own} {_alone(result)}" if self.whole else "")
-
-    def equals(self, value: str) -> str:
-        """Write ``k/λc² = value Pa/m``."""
-        return f"{self.symbol} = {value} {self.unit}".rstrip()
-
-    def within(self, intervals: dict[float, str]) -> str:
-        """Write ``k/λc² = (1.89 to 2.02)e10 Pa/m``, or an end of it."""
-        return self.equals(intervals.get(LEVELS[-1], "none")).replace("= above", "above").replace("= below", "below")
-
-
-def _with_totals(result: "FitResult") -> dict[str, Shown]:
-    """Show every parameter, with usual errors of inputs, if any."""
-    return _shown(result, result.totals if of_inputs(result.changes) else {})
-
-
-def _shown(result: "FitResult", totals: Mapping[str, tuple[float | None, Interval | None]]) -> dict[str, Shown]:
-    """Show every parameter by label, and k/K that follows from them."""
-    q, symbols, errors = result.parameters, _symbols(result), result.stderrs
-    free, found = {one.label: one for one in q.free}, {}
-    for name, value in (result.values | result.inputs).items():
-        size, unit, prior = _unit_and_prior(result.measurements, free.get(name))
-        texts = _ranges(result.intervals.get(name, {}), value, size)
-        wider = _ranges(result.intervals_with_inputs.get(name, {}), value, size) if totals else {}
-        every = result.intervals.get(name, {}).get(LEVELS[0], [])
-        own = errors.get(name), every[0] if len(every) == 1 else None
-        sides, whole = _sides(value, *own), ""
-        uneven = np.abs(sides - 1).max() > UNEVEN
-        if name in totals and name in result.given:
-            uneven = uneven or np.abs(_sides(value, *totals[name]) - 1).max() > UNEVEN_TOTAL
-            whole = _with_error(result, name, value, size, *totals[name], uneven=uneven)
-        by_data = _with_error(result, name, value, size, *own, uneven=uneven)
-        found[name] = Shown(symbols.get(name, "k/K"), unit, size, prior, by_data, whole, texts, wider, sides)
-    return found
-
-
-def _ranges(intervals: Intervals, value: float, size: float) -> dict[float, str]:
-    """Write intervals by level, in a unit of some `size`."""
-    by_level = {
-        level: [piece._replace(low=piece.low * size, high=piece.high * size) for piece in pieces]
-        for level, pieces in intervals.items()
-    }
-    closed = [piece.high - piece.low for pieces in by_level.values() for piece in pieces if not any(piece[2:])]
-    alone = all(len(pieces) < 2 for pieces in by_level.values())
-    digits = (value * size, min(closed, default=0.0)) if alone else ()  # those of the narrowest for all
-    return {level: " or ".join(interval(x, *digits) for x in pieces) or "none" for level, pieces in by_level.items()}
-
-
-def _symbols(result: "FitResult") -> dict[str, str]:
-    """Short name of each parameter, by label.
-
-    ``E (block A)`` for ``young[block A, 3e+09]`` where that is unambiguous.
-    """
-    long = {one.label: one.symbol + "".join(one.label.partition("[")[1:]) for one in result.parameters.free}
-    short = dict(long)
-    for one in (one for one in result.parameters.free if one.nuisance):
-        specimen = one.label.partition("[")[2].rpartition(", ")[0]
-        short[one.label] = one.symbol + f" ({specimen})" * bool(specimen)
-    return {label: name if [*short.values()].count(name) == 1 else long[label] for label, name in short.items()}
-
-
-def _unit_and_prior(m: Measurements, one: Free | None) -> tuple[float, str, str]:
-    """Factor, unit and prior of a parameter; none for k/K.
-
-    In the unit of the table for lengths and forces.
-    """
-    if one is None:
-        return 1.0, "", ""
-    size, unit, mean = 1.0, one.unit, one.value(one.prior_mean)
-    if unit == "m" and one.name != "correlation_length":
-        unit = m.unit[1]
-        size = 1 / UNITS_OF_LENGTH[unit]
-    if unit == "N/m":
-        (size, *_), unit = m.unit_of_force
-    error = one.prior_sigma * size * (mean if one.log else 1)
-    return size, unit, f"{value_with_error(mean * size, error)} {unit}".rstrip() if math.isfinite(error) else ""
-
-
-def _sides(value: float, error: float | None, piece: Interval | None) -> np.ndarray:
-    """Sides of an interval over the standard error; infinite without."""
-    ends_of = (math.inf, math.inf) if error is None or piece is None else (value - piece.low, piece.high - value)
-    return np.array(ends_of) / (error or 1.0)
-
-
-def _with_error(
-    result: "FitResult", name: str, value: float, size: float, error: float | None, piece: Interval | None, *, uneven: bool
-) -> str:
-    """Write ``1.2 ± 0.3``, or ``1.2 -0.2 +0.5`` by an uneven interval.
-
-    The value alone, or none, where the verdict says so.
-    """
-    judged = result.verdicts.get(name)
-    verdict = judged.identifiability if judged else result.identifiability
-    if uneven and piece is not None and piece.encloses(value) and verdict in GIVEN:
-        return value_with_error(value * size, (value - piece.low) * size, (piece.high - value) * size)
-    text = WITHOUT_VALUE.get(verdict) or value_with_error(value * size, None if error is None else error * size)
-    if verdict is not Identifiability.SEVERAL_ROOTS or not judged:
-        return text
-    alike = sum(root.deviance < result.deviance + 0.05 for root in result.roots)  # of which none is preferred
-    some = f"{text} ({'one' if alike > 1 else 'best'} of {len(result.roots)})"
-    return some if result.points else WITHOUT_VALUE[Identifiability.EQUAL]
-
-
 def html_of(result: "FitResult") -> str:
     """Format values, intervals and verdict as a table for a notebook."""
-    shown, m = _with_totals(result), result.measurements
+    shown, m = with_totals(result), result.measurements
     rows = [
         (one.symbol, one.whole or one.own, *(one.wider.get(level, "") for level in LEVELS))
         + (one.own, *(one.intervals.get(level, "") for level in LEVELS), one.unit)
         for one in map(shown.__getitem__, result.values)
     ]
-    levels, alone = [f"{level:.0%} interval" for level in LEVELS], _alone(result)
+    levels, alone = [f"{level:.0%} interval" for level in LEVELS], error_source(result)
     heads = (
         "",
         "total error",
@@ -360,7 +197,7 @@ def _folded(text: str, width: int) -> list[str]:
 
 def _values(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
     """Tabulate values and ratios of specimens, with both errors."""
-    level, alone, simulated = LEVELS[-1], _alone(result), " (simulated)" * result.calibrated
+    level, alone, simulated = LEVELS[-1], error_source(result), " (simulated)" * result.calibrated
     own = "95 %, these only" if any(shown[name].wider for name in result.names) else "95 % interval"
     rows = [["", "total error", "95 %, total", alone, own + simulated]]
     for one in (shown[name] for name in result.names):
@@ -468,7 +305,7 @@ def _quality(result: "FitResult") -> str:
 
 def title(result: "FitResult", width: int) -> list[str]:
     """Quote the box for a picture, in lines, with the constants."""
-    shown, free = _with_totals(result), result.parameters
+    shown, free = with_totals(result), result.parameters
     names = [name for name in result.names if not (free.named(name).name in CONSTANTS and shown[name].prior)] or result.names
     names = [name for name in names if name in result.given]
     more = [f"… and {len(names) - MOST_VALUES} more"] * (len(names) > MOST_VALUES)
@@ -659,12 +496,7 @@ def _details(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
     rows += [f"  correlations above {CORRELATED:g}:"] * bool(strong)
     rows += [f"    C({shown[a].symbol}, {shown[b].symbol}) = {value:+.3f}" for (a, b), value in strong[:MOST_CORRELATIONS]]
     rows += [f"  {line}" for line in _regime(result)]
-    if "length" not in q.front.observes:
-        return rows
-    rows += ["  broken contacts, and the longest length attainable at any stiffness searched:"]
-    for i, broken in enumerate(result.contacts_broken):
-        rows.append(f"    {m.number(i)}: {broken if broken > 0 else 'all'}, {result.attainable[i] * scale[i]:.5g} {unit}")
-    return rows
+    return [*rows, *(f"  {line}" for line in result.main.details(result))]
 
 
 def _ratios(result: "FitResult") -> str:
@@ -680,7 +512,7 @@ def _ratios(result: "FitResult") -> str:
 
 def _inputs(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
     """Fitted values of inputs with errors, and their pulls."""
-    priors = [(one.name, one.prior_mean, one.prior_sigma) for one in _beside(result)]
+    priors = [(one.name, one.prior_mean, one.prior_sigma) for one in fitted_beside(result)]
     each = ", inputs separately for each specimen" * (len(set(priors)) < len(priors))
     rows = [f"  also fitted, within their errors{each}:"] * bool(result.inputs)
     for name, value in result.inputs.items():
@@ -704,169 +536,3 @@ def _regime(result: "FitResult") -> list[str]:
     if result.block_length_over_height is not None:
         needed = f"L/H = {ends(result.block_length_over_height)}"
     return [f"Regime: b = {ends(at.b)}{again}", f"Decay length 1/κ₂ = {decay} {unit}; {needed}"]
-
-
-# --- remarks --------------------------------------------------------------------------------------------------------------
-
-
-def notes(result: "FitResult") -> list[str]:
-    """Remarks to read before using the numbers, most about the data."""
-    shown = _shown(result, {})
-    first = *_of_data(result, shown), *_of_sigma(result), *_of_pulls(result, shown), *_of_shape(result, shown)
-    return [*first, *result.suspicions, *_of_attainable(result), *result.main.notes(result), *_of_model(result)]
-
-
-def _of_data(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
-    m, p = result.measurements, result.problem.p
-    used = {*result.parameters.front.columns}.union(*(one.uses(m) for one in result.parameters.observables))
-    if unused := [name for name in m.other if name not in used]:
-        yield f"columns kept but not used: {', '.join(unused)}"
-    for table in filter(None, (m, m.gauges)):
-        if skipped := table.skipped:
-            which = ", ".join(map(str, skipped[:20])) + ", …" * (len(skipped) > 20)
-            lines = plural(len(skipped), "line" if table.lines else "row")
-            yield f"skipped {lines} of {table.source} that hold no measurement: {which}"
-    kinds = sorted({*m.provenance} - {""})
-    if kinds and kinds != ["measured"]:
-        yield f"provenance: {', '.join(kinds)}"
-    copies = len(m) - m.distinct
-    if copies:
-        yield (
-            f"{plural(copies, 'measurement')} repeat{'s' * (copies == 1)} another exactly; each counts as a measurement of its "
-            "own, so leave out copies"
-        )
-    if result.problem.count - copies < p:
-        hold = m.option("--fix NAME=VALUE", "fixed={name: value}")
-        state = m.option("--prior NAME=MEAN,DEVIATION", "sp.Parameter(name, prior=(mean, deviation))")
-        yield (
-            f"{plural(p, 'parameter')} are fitted, but only {result.problem.count - copies} of the data are different; hold "
-            f"some ({hold}), state what is known of them ({state}), or measure at more heights"
-        )
-    beside = {one.name: f"{one.symbol} = {shown[one.label].prior}" for one in _beside(result) if one.name in OF_MEASURING}
-    if "model_factor" in beside:
-        shared, held = "a model factor is", {"model_factor": 1}
-        if "offset" in beside:
-            shared, held = "an offset and a model factor are", {"offset": 0, "model_factor": 1}
-        option = m.option(" ".join(f"--fix {name}={value}" for name, value in held.items()), f"fixed={held}".replace("'", '"'))
-        beside_it = ", ".join(beside.values())
-        yield (
-            f"measured lengths share errors, so {shared} fitted too, within priors: {beside_it}; to keep only the errors of "
-            f"each length, give {option}"
-        )
-    if m.in_si and m.young is None:
-        yield "no young_GPa: the data determine the areal stiffness only as its ratio to Young's modulus"
-
-
-def _of_sigma(result: "FitResult") -> Iterator[str]:
-    m = result.measurements
-    if m.length_sigma is None and "length" in result.parameters.front.observes:
-        yield "no standard errors were given; equal ones are assumed, as large as the scatter about the fit"
-    elif result.scaled:
-        yield f"the stated σ are taken as relative, and scaled by {result.scatter:.3g} to the scatter about the fit"
-    if result.p_value is not None and result.problem.improbable <= result.p_value < SCATTERED:
-        factor = np.sqrt(result.misfit / (result.testable_dof or 1))
-        taken = f"; {size_from_scatter(m)} takes its size from the scatter" * result.problem.exact_values
-        larger = f"σ would have to be {factor:.2g} times as large{taken}"
-        yield f"the scatter is larger than σ explains (p = {result.p_value:.2g}); {larger}"
-    if result.problem.loss != "normal":
-        yield f"loss: {result.problem.loss}; outliers count less than their σ implies"
-
-
-def _of_pulls(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
-    """Name the inputs that the lengths pull farther than chance would.
-
-    The difference between fitted and stated value scatters by √(σ² − s²), with the stated error σ and that of the fit, s.
-    """
-    if result.covariance is None or result.identifiability not in GIVEN:
-        return
-    free = zip(result.parameters.free, result.theta.tolist(), np.diag(result.covariance).tolist(), strict=True)
-    known = [every for every in free if math.isfinite(every[0].prior_sigma) and every[0].name != "arrest"]
-    pulled: dict[str, list[str]] = {}
-    for one, theta, variance in known:
-        off = theta - one.prior_mean
-        usual = math.sqrt(max(one.prior_sigma**2 - variance, 1e-12 * one.prior_sigma**2))
-        chance = 1 - (1 - 2 * ndtr(-abs(off) / usual)) ** len(known)
-        if abs(off) > one.prior_sigma and chance < SCATTERED:  # a smaller pull hardly moves the result
-            by = f"{abs(off) / one.prior_sigma:.2f} σ {'above' if off > 0 else 'below'}"
-            pulled.setdefault(one.name, []).append(f"{shown[one.label].symbol} {by}")
-    if not pulled:
-        return
-    which = listed([text for every in pulled.values() for text in every])
-    shared = pulled.keys() & {*OF_MEASURING}
-    together = len(set(result.measurements.specimen)) > 1 and any(name in STIFFNESSES for name in result.names)
-    checks = ["check the stated value and its error"] * bool(pulled.keys() - shared)
-    each = result.measurements.option("--each-specimen stiffness", 'free=[sp.Parameter("stiffness", each="specimen")]')
-    checks += [f"the specimens may differ in stiffness ({each})"] * together
-    checks += ["the lengths do not vary with the height as the model's do"] * bool(shared)
-    yield f"the lengths put {which} what was stated, more than chance would; {'; or '.join(checks)}"
-
-
-def _of_shape(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
-    """Name parameters whose 68 % interval differs from ± the error."""
-    for name in result.names:
-        this, by = shown[name], shown[name].sides
-        if this.prior or math.inf in by or np.abs(by - 1).max() <= UNEVEN:
-            continue  # an input with a stated error, or no difference
-        why = "the likelihood is not parabolic"
-        if result.calibrated:
-            why = "the interval is that of simulated measurements"
-        elif result.scatter_dof is not None and max(by) / min(by) < 1 + UNEVEN:
-            why = f"the size of σ is known from {plural(result.dof, 'degree')} of freedom only"
-        text = f"{this.intervals[LEVELS[0]]} {this.unit}".rstrip()
-        yield (
-            f"{this.symbol}: quote the 68 % interval {_alone(result)}, {text}, not ±; it reaches {by[0]:.2f} standard errors "
-            f"below the value and {by[1]:.2f} above; {why}"
-        )
-
-
-def _of_attainable(result: "FitResult") -> Iterator[str]:
-    """Warn of lengths near or above the longest that any stiffness gives."""
-    m, attainable, front = result.measurements, result.attainable, result.parameters.front
-    if not any(one.name in STIFFNESSES for one in result.parameters.free):
-        return
-    lowest = np.where(np.array(m.kind) == "whole", m.length - 1, m.length) - np.nan_to_num(m.sigma)
-    above = lowest > attainable
-    if above.any():
-        i, count = int(np.argmin(attainable / m.length)), int(above.sum())
-        reached = "where no domino starts"
-        if attainable[i] > 0:
-            reached = f"{m.length[i] / attainable[i]:.3g} times the longest attainable, {m.in_its_unit(i, attainable[i])}"
-        yield (
-            f"{count} length{'s lie' if count > 1 else ' lies'} more than σ above the longest at any stiffness searched; the "
-            f"worst is {m.number(i)}: {m.in_its_unit(i, m.length[i])}, {reached}"
-        )
-    plateau = ~above & (m.length > PLATEAU * attainable)
-    if plateau.any() and front.event != "crack":
-        poisson, count = m.poisson[plateau][0], int(plateau.sum())
-        ceiling = f"; no first front of a tall slider exceeds {float(length_ceiling(poisson)):.3f} H at ν = {poisson:g}"
-        lie, they = ("lie", "they constrain") if count > 1 else ("lies", "it constrains")
-        some = f"{count} of {len(m)} lengths {lie}" if len(m) > 1 else "the length lies"
-        nearly = f"within {100 * (1 - PLATEAU):.0f} % of the longest attainable, where {they} stiffness little"
-        yield f"{some} {nearly}{ceiling * (front.body == 'slider')}"
-
-
-def _of_model(result: "FitResult") -> Iterator[str]:
-    """Say where the model leaves a result uncertain.
-
-    Its search, the definition of a length, the edge contact, or the end of a block.
-    """
-    m, front = result.measurements, result.parameters.front
-    if front.event == "domino" and result.fitted.max() >= MOST_CONTACTS:
-        yield f"not included: block end, compliant machine; fronts of more than {MOST_CONTACTS:g} contacts take long"
-    known = {one.name for one in result.parameters.free} | {*result.parameters.held}
-    if left_out := front.left_out(m, known):
-        yield f"not included: {', '.join(left_out)}"
-    if result.between_contacts is not None:
-        i = int(np.argmax(result.between_contacts))
-        off = m.in_its_unit(i, float(f"{result.between_contacts[i]:.2g}"))
-        yield f"{front.uncertain_as} within {off} ({m.place(i)}); this is added to σ in quadrature"
-    if front.event == "domino" and any(root.rebreaks for root in result.roots[:1]):
-        yield (
-            "at the fitted stiffness the edge contact is back at its threshold before the front stops; the length is that of "
-            "the first front alone"
-        )
-    if m.block_length is not None and (short := (ratio := m.block_length / result.regime.slow_decay_length) < END).any():
-        yield (
-            f"{int(short.sum())} of {len(m)} blocks are shorter than {END:g}/κ₂ (the shortest {np.nanmin(ratio):.2g}/κ₂); the "
-            "lengths depend on the far end, taken to be free"
-        )

@@ -15,7 +15,9 @@ from slippulse_jax.inference.observables import Observable
 from slippulse_jax.inference.parameters import STIFFNESSES, ParameterSet
 from slippulse_jax.inference.result import predicted, record, samples
 from slippulse_jax.inference.result import report as printer
-from slippulse_jax.inference.result.changes import find_changes, suggestions, total, total_intervals, total_of_ratio
+from slippulse_jax.inference.result.changes import find_changes, total, total_intervals, total_of_ratio
+from slippulse_jax.inference.result.remarks import notes
+from slippulse_jax.inference.result.suggestions import suggestions
 from slippulse_jax.inference.result.verdict import GIVEN, GRAVITY, Identifiability, Verdict, directions
 from slippulse_jax.inference.search.intervals import LEVELS, Interval, Intervals, rise_of
 from slippulse_jax.inference.search.likelihood import Problem
@@ -313,6 +315,15 @@ class FitResult:
         """Deviance beyond that of a perfect match: χ² for plain lengths."""
         return self.deviance - self.problem.perfect(self.theta)
 
+    def starts(self, q: ParameterSet, count: int = 9) -> np.ndarray:
+        """Minima and the range of stiffness, in other parameters; (s, p)."""
+        every = [
+            dict(zip(self.parameters.names, at, strict=True)) for at in (self.theta, *(root.theta for root in self.minima))
+        ]
+        known = np.array([[values.get(one.label, values.get(one.name, 0.0)) for one in q.free] for values in every])
+        spread = q.low + (q.high - q.low) * np.linspace(0, 1, count + 2)[1:-1, None]
+        return np.vstack([known, np.where([one.name in STIFFNESSES for one in q.free], spread, known[0])])
+
     changes = functools.cached_property(find_changes)
     next_steps = functools.cached_property(suggestions)
     groups = functools.cached_property(predicted.groups)
@@ -320,7 +331,7 @@ class FitResult:
     field = predicted.field
     bootstrap = samples.bootstrap
     posterior = samples.posterior
-    notes = property(printer.notes)
+    notes = property(notes)
     report = printer.report
     methods = printer.methods
     _repr_html_ = printer.html_of

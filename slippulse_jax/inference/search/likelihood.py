@@ -548,7 +548,7 @@ class Problem:
 
     @property
     def sharp(self) -> bool:
-        """Whether counts or limits have no error, and edges that no gradient follows."""
+        """Whether counts or limits without an error have edges."""
         return self.blurred(SHARPEST) is not self
 
     @property
@@ -628,7 +628,11 @@ class Problem:
 
     def widened(self, off: np.ndarray) -> "Problem":
         """Add an error of every row, in λc, in quadrature."""
-        return self.changed(lambda data: data._replace(sigma=np.hypot(data.sigma, off[data.measurement])), of_rows=True)
+        return self.with_errors(np.hypot(self.by_row(lambda data: data.sigma), off))
+
+    def with_errors(self, sigma: np.ndarray) -> "Problem":
+        """Replace the error of every row, in λc."""
+        return self.changed(lambda data: data._replace(sigma=sigma[data.measurement]), of_rows=True)
 
     def with_sigma(self, factor: float, *, of_lengths: bool) -> "Problem":
         """Scale σ of all data, or of lengths alone, by a factor."""

@@ -285,7 +285,7 @@ def first_edges(problem: Problem) -> list[np.ndarray]:
 
 
 def _counted(problem: Problem, j: int, at: np.ndarray, below: Sequence[float] = (0.5,)) -> np.ndarray:
-    """Values of θ_j at which lengths are amid their counts, or so far below.
+    """Values of θ_j amid counts, or so far below them.
 
     A count may hold in a range narrower than the grid's.
     """
