@@ -76,8 +76,7 @@ class Front:
     held: str = "the edge"  # does not move during the event
     thresholds: str = "uniform thresholds"
     rising: ClassVar[float] = 0.0  # b up to which every length is known to rise with stiffness
-    # of fits that version 0.2 saved; where lengths are not interpolated nothing is added today
-    uncertain_as: ClassVar[str] = "a length between two whole contacts is defined only"
+    uncertain_as: ClassVar[str] = "a length of this model is known only"  # within its `uncertainty`
 
     def check(self, m: Measurements, names: Collection[str]) -> None:
         """Refuse columns and parameters without a meaning; a ValueError names them.
