@@ -155,10 +155,10 @@ def test_a_loaded_fit_fits_nothing_again(name, tmp_path, monkeypatch, worked):
     def refuse(*_, **__):
         raise AssertionError("fitted again")
 
-    for module in ("result.changes", "search.minima", "search.intervals", "result.samples"):
+    for module in ("result.changes", "result.suggestions", "search.minima", "search.intervals", "result.samples"):
         monkeypatch.setattr(f"slippulse_jax.inference.{module}.minimise", refuse)
-    for name in ("_refitted", "_again", "_with"):
-        monkeypatch.setattr(f"slippulse_jax.inference.result.changes.{name}", refuse)
+    for name in ("changes._refitted", "changes._again", "suggestions._with"):
+        monkeypatch.setattr(f"slippulse_jax.inference.result.{name}", refuse)
     monkeypatch.setattr("slippulse_jax.inference.fit.fit", refuse)
     loaded = sp.load_fit(tmp_path / "fit.json")
     assert loaded.report(verbose=True) == said
