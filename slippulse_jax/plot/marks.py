@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 MARKERS, BEYOND = "osDXv<>P", "^"
 """Of specimens, and of fronts without arrest."""
 MEASURED = "measured"
-"""Name of the measurements where no specimens are told apart."""
+"""Label of the measurements if the table names no specimens, or too many."""
 
 
 def curves_of(result: "FitResult", ax: "Axes") -> list[tuple[str, np.ndarray]]:

@@ -283,17 +283,18 @@ class Problem:
 
         Beyond `perfect`; None where its distribution is not known. Of values and priors it is χ², with a degree for each less
         one for each parameter. That holds beside counts and fronts without arrest too, if these cost nothing at the minimum. If
-        some do, the degrees of freedom are an upper bound: none is subtracted for parameters, and each of these adds two, since
-        a datum of probability below P occurs with a probability of at most P (2 P for counts, which are off either way), so
-        that −2 ln P is at most χ² of two degrees.
+        some do, the degrees of freedom are an upper bound: none is subtracted for parameters, and one with an error adds two,
+        since a datum of probability below P occurs with a probability of at most P (2 P for counts, which are off either way),
+        so that −2 ln P is at most χ² of two degrees. If there is no other datum, those without an error add two each as well.
         """
         if self.loss != "normal" or not self.known:
             return None
-        binding = 0
+        binding, blurred = 0, 0
         for data in (data for data in self.observed if not data.observable.is_value):
             cost = costs(self.predicted(theta, data), data, np.zeros(1, int))[0, 0]
-            binding += int((cost - data.observable.perfect(data.reading()) > 1e-6).sum())  # which the model does not meet
-        dof = self.values + 2 * binding if binding else self.values - self.p
+            there = cost - data.observable.perfect(data.reading()) > 1e-6  # which the model does not meet
+            binding, blurred = binding + int(there.sum()), blurred + int((there & (data.sigma > 0)).sum())
+        dof = (self.values + 2 * blurred or 2 * binding) if binding else self.values - self.p
         return dof if dof > 0 else None
 
     def p_value(self, theta: np.ndarray, deviance: float, dof: int | None) -> float | None:
