@@ -14,6 +14,7 @@ from slippulse_jax.events.rupture import rupture as rupture
 from slippulse_jax.events.series import Spring as Spring
 from slippulse_jax.events.series import Steps as Steps
 from slippulse_jax.events.series import series as series
+from slippulse_jax.events.series import static_friction as static_friction
 from slippulse_jax.exact.bulk import exact_lengths as exact_lengths
 from slippulse_jax.exact.bulk import rebreaking_onset as rebreaking_onset
 from slippulse_jax.exact.front import exact_front as exact_front

@@ -1,7 +1,8 @@
-"""The interface of a slider: prestress and thresholds of its contacts.
+"""The interface of a slider: prestress and thresholds, and what contacts keep.
 
-The paper's own interface is relaxed and uniform. Its Discussion asks how each of the two changes the first precursor; the fast
-recursion treats both exactly. A delay before contacts repin is an argument of `rupture` and `series`.
+The paper's own interface is relaxed and uniform, and its contacts lose everything when they break. Its Discussion asks how the
+first precursor changes with each; the fast recursion treats all exactly. A delay before contacts repin is an argument of
+`rupture` and `series`.
 """
 
 from typing import Any
@@ -13,7 +14,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
-from slippulse_jax.base.domains import PRESTRESS, THRESHOLD, THRESHOLD_SLOPE, check_domain
+from slippulse_jax.base.domains import PRESTRESS, RESIDUAL_STRENGTH, THRESHOLD, THRESHOLD_SLOPE, check_domain
 from slippulse_jax.base.shown import in_a_line
 from slippulse_jax.base.units import Numbers, as_float, quantity_field
 
@@ -41,6 +42,9 @@ class Interface(eqx.Module):
     threshold_slope : array_like
         ε > −1, the rise of the threshold from site to site: θ_i = 1 + ε i, in σ_s. With ε < 0 the interface ends where the
         threshold has fallen to the prestress, or to zero: a front that gets there runs away (inf).
+    residual_strength : array_like, optional
+        r in [0, 1): a contact that breaks repins with the stress rθ, and releases what it carried beyond. By default it repins
+        with none, as in the paper, and there is no derivative in r.
 
     Raises
     ------
@@ -49,7 +53,7 @@ class Interface(eqx.Module):
 
     Notes
     -----
-    `prestress` and `threshold_slope` broadcast with the fields of a `Slider`.
+    The numbers broadcast with the fields of a `Slider`.
     """
 
     prestress: Float[AnyArrayLike, "..."] = quantity_field(
@@ -58,10 +62,16 @@ class Interface(eqx.Module):
     threshold_slope: Float[AnyArrayLike, "..."] = quantity_field(
         "\\epsilon", "\\sigma_s", name="threshold gradient", default=0.0
     )
+    residual_strength: Float[AnyArrayLike, "..."] | None = quantity_field(
+        "r", "1", name="residual strength of the contacts", default=None
+    )
 
-    def __init__(self, prestress: Numbers = 0.0, threshold_slope: Numbers = 0.0) -> None:
+    def __init__(
+        self, prestress: Numbers = 0.0, threshold_slope: Numbers = 0.0, residual_strength: Numbers | None = None
+    ) -> None:
         self.prestress = as_float("Interface.prestress", prestress)
         self.threshold_slope = as_float("Interface.threshold_slope", threshold_slope)
+        self.residual_strength = _or_none("Interface.residual_strength", residual_strength)
 
     def __repr__(self) -> str:
         return in_a_line(self)
@@ -69,15 +79,27 @@ class Interface(eqx.Module):
     def __check_init__(self) -> None:
         PRESTRESS.check("Interface.prestress", self.prestress)
         THRESHOLD_SLOPE.check("Interface.threshold_slope", self.threshold_slope)
+        RESIDUAL_STRENGTH.check("Interface.residual_strength", kept_share(self))
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Shape of the batch; () for one interface."""
-        return np.broadcast_shapes(np.shape(self.prestress), np.shape(self.threshold_slope))
+        return np.broadcast_shapes(*(np.shape(x) for x in (self.prestress, self.threshold_slope, kept_share(self))))
 
     def in_domain(self) -> Array:
         """Whether the values, traced ones too, lie in their domains."""
-        return PRESTRESS.holds(jnp.asarray(self.prestress)) & THRESHOLD_SLOPE.holds(jnp.asarray(self.threshold_slope))
+        inside = PRESTRESS.holds(jnp.asarray(self.prestress)) & THRESHOLD_SLOPE.holds(jnp.asarray(self.threshold_slope))
+        return inside & RESIDUAL_STRENGTH.holds(jnp.asarray(kept_share(self)))
+
+    @property
+    def equivalent_prestress(self) -> Any:
+        """(φ − r)/(1 − r), below 1; φ where contacts keep nothing.
+
+        On level thresholds a front of contacts that keep nothing, under this prestress, runs as far: (t − rθ)/(1 − r) obeys the
+        rule of r = 0.
+        """
+        kept = kept_share(self)
+        return (self.prestress - kept) / (1 - kept)
 
     def threshold_at(self, site: Array) -> Array:
         """θ_i, in σ_s."""
@@ -106,6 +128,8 @@ class Profile(eqx.Module):
         θ_i > 0, in σ_s; the last value holds for all sites beyond.
     prestress : array_like, shape () or (n,)
         φ_i, in σ_s; likewise. In (−θ_i, θ_i): beyond, a contact would break before the slider is pushed.
+    residual_strength : float, optional
+        As for `Interface`; one number of all contacts.
 
     Raises
     ------
@@ -122,11 +146,16 @@ class Profile(eqx.Module):
 
     threshold: Float[AnyArrayLike, " n"] = quantity_field("\\theta_i", "\\sigma_s")
     prestress: Float[AnyArrayLike, "..."] = quantity_field("\\varphi_i", "\\sigma_s", default=0.0)
+    residual_strength: Float[AnyArrayLike, ""] | None = quantity_field("r", "1", default=None)
 
-    def __init__(self, threshold: Numbers, prestress: Numbers = 0.0) -> None:
+    def __init__(self, threshold: Numbers, prestress: Numbers = 0.0, residual_strength: Numbers | None = None) -> None:
         self.threshold, self.prestress = as_float("Profile.threshold", threshold), as_float("Profile.prestress", prestress)
+        self.residual_strength = _or_none("Profile.residual_strength", residual_strength)
 
     def __check_init__(self) -> None:
+        if np.shape(kept_share(self)):
+            raise ValueError(f"Profile.residual_strength has shape {np.shape(kept_share(self))}: must be one number")
+        RESIDUAL_STRENGTH.check("Profile.residual_strength", kept_share(self))
         if np.ndim(self.threshold) != 1 or np.size(self.threshold) == 0:
             raise ValueError(f"Profile.threshold has shape {np.shape(self.threshold)}: must be (n,), with at least one value")
         if np.shape(self.prestress) not in ((), np.shape(self.threshold)):
@@ -146,8 +175,9 @@ class Profile(eqx.Module):
 
     def in_domain(self) -> Array:
         """Whether the values, traced ones too, lie in their domains."""
-        threshold = jnp.asarray(self.threshold)
-        return (THRESHOLD.holds(threshold) & (jnp.abs(jnp.asarray(self.prestress)) < threshold)).all()
+        threshold, kept = jnp.asarray(self.threshold), jnp.asarray(kept_share(self))
+        inside = THRESHOLD.holds(threshold) & (jnp.abs(jnp.asarray(self.prestress)) < threshold)
+        return inside.all() & RESIDUAL_STRENGTH.holds(kept)
 
     def _at(self, values: Any, site: Array) -> Array:
         values = jnp.asarray(values)
@@ -169,4 +199,14 @@ class Profile(eqx.Module):
 
 
 AnyInterface = Interface | Profile | None
-"""Thresholds and prestress of the contacts; None for the paper's own, relaxed and uniform."""
+"""Contacts by thresholds, prestress and what they keep; None for the paper's own, relaxed and uniform."""
+
+
+def kept_share(contacts: AnyInterface) -> Any:
+    """Share r of its threshold that a contact keeps; 0 by default."""
+    kept = None if contacts is None else contacts.residual_strength
+    return 0.0 if kept is None else kept
+
+
+def _or_none(name: str, x: Any) -> Any:
+    return None if x is None else as_float(name, x)

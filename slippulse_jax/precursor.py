@@ -229,7 +229,7 @@ def _of_front(slider: Slider, interface: AnyInterface, broken: Array, sites: int
         "stress_before": before.stress,
         "stress": after.stress,
         "slip": after.layer - before.layer,
-        "pinning": jnp.where(jnp.arange(sites) < broken, stress, 0),
+        "pinning": jnp.where(jnp.arange(sites) < broken, stress - front.kept_at(interface, jnp.arange(sites)), 0),
         "front_stress": stress,
     }
 

@@ -24,7 +24,8 @@ class BreakRule(eqx.Module):
     """Base of break rules: how much of a contact breaks.
 
     Derive a class that defines `broken` and `overloaded_length`, and pass an object of it as ``rule=``. Both methods are called
-    with scalars. A field that is a number broadcasts and has derivatives, as `SmoothBreak.width` does; any other field must be
+    with scalars: of contacts that keep a share r of their strength, with what one can lose, t − r θ, and the threshold of that,
+    (1 − r) θ. A field that is a number broadcasts and has derivatives, as `SmoothBreak.width` does; any other field must be
     ``equinox.field(static=True)``, and hashable.
 
     Raises
@@ -82,7 +83,8 @@ class SmoothBreak(BreakRule):
 
         p(t) = [σ((t − θ)/w) − σ(−θ/w)] / σ(θ/w),        σ(x) = 1/(1 + e^{−x}),
 
-    of them breaks and repins at zero stretch, so that the contact releases the stress p t. p → 1 [t ≥ θ] as w → 0.
+    of them breaks and repins at zero stretch, so that the contact releases the stress p t. p → 1 [t ≥ θ] as w → 0. Where
+    contacts keep r θ, the law is cut off there, and w stays in σ_s.
     """
 
     width: Float[AnyArrayLike, "..."] = quantity_field("w", "\\sigma_s", name="width of the smooth break rule", default=0.01)
@@ -121,7 +123,9 @@ class SmoothBreak(BreakRule):
 
 
 class SelfHealing(eqx.Module):
-    """The paper's rule with inertia: contacts repin with zero stretch.
+    """The paper's rule with inertia: contacts repin at once.
+
+    With what they keep (`residual_strength` of the chain), in the paper with zero stretch.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ from slippulse_jax.blocks.pressed import under_pressure
 from slippulse_jax.bodies.response import of_matrix
 from slippulse_jax.bulk.double import in_double
 from slippulse_jax.events.first import Relaxed, event_from, nucleated
-from slippulse_jax.interface import AnyInterface, Profile
+from slippulse_jax.interface import AnyInterface, Profile, kept_share
 
 
 def unattached(block: Block, finer: int = 0) -> tuple[Edge, Slab]:
@@ -56,8 +56,9 @@ def contacts_of(block: Block, interface: AnyInterface, sites: int, bare: tuple[E
     site = jnp.arange(sites, dtype=threshold.dtype)
     if interface is not None:
         threshold, prestress = (x.astype(threshold.dtype) for x in (interface.threshold_at(site), interface.prestress_at(site)))
-    valid = block.in_domain()
-    found = Relaxed(response, threshold, prestress, k, last, valid, pressed=body, alike=not isinstance(interface, Profile))
+    valid = block.in_domain() if interface is None else block.in_domain() & interface.in_domain()
+    even, kept = not isinstance(interface, Profile), jnp.asarray(kept_share(interface), threshold.dtype)
+    found = Relaxed(response, threshold, prestress, k, last, valid, pressed=body, alike=even, residual_strength=kept)
     return found if block.machine is None else found.through(block.machine)
 
 

@@ -257,7 +257,7 @@ def _views(body: Body, kind: EventKind) -> Float[np.ndarray, "4 n"]:
     """
     block, interface = body
     tall = np.asarray(block.height, float)
-    prestress, slope = (0.0, 0.0) if interface is None else (interface.prestress, interface.threshold_slope)
+    prestress, slope = (0.0, 0.0) if interface is None else (interface.equivalent_prestress, interface.threshold_slope)
     falling = np.broadcast_to(np.asarray(slope) < 0, tall.shape)
     lasting, endless = (np.asarray(prestress) > 0) | falling, (2 * np.asarray(prestress) >= 1) | falling
     found = np.stack([tall, np.full_like(tall, FOLLOWED), *np.full((2, tall.size), np.inf)])

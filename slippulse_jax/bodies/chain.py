@@ -20,9 +20,9 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float
 from jaxtyping import ArrayLike as AnyArrayLike
 
-from slippulse_jax.base.domains import check_domain, check_kind, check_single, check_whole
+from slippulse_jax.base.domains import RESIDUAL_STRENGTH, check_domain, check_kind, check_single, check_whole
 from slippulse_jax.base.units import as_float, at_least_single, quantity_field
-from slippulse_jax.interface import AnyInterface, Interface, Profile
+from slippulse_jax.interface import AnyInterface, Interface, Profile, kept_share
 from slippulse_jax.slider import Slider
 
 if TYPE_CHECKING:
@@ -51,8 +51,9 @@ class Chain(eqx.Module):
 
     Made by `chain`. Forces are in K u_s, displacements in u_s and stresses in σ_s, where u_s, σ_s and `stiffness` are those
     of the slider's own λ-contact. The stress on contact i is t_i = (k_i/k) f(u_i − u_b,i) + φ_i, with f(z) = z unless `law`
-    specifies another; a detached contact (k_i = 0) carries none. `height` is that of the slider: the ratio of the masses of a
-    block of the upper layer and one of the interfacial layer, whatever the stiffness of the bonds.
+    specifies another; a detached contact (k_i = 0) carries none. One that breaks repins with r θ_i, `residual_strength` r.
+    `height` is that of the slider: the ratio of the masses of a block of the upper layer and one of the interfacial layer,
+    whatever the stiffness of the bonds.
     """
 
     upper: Float[Array, " N-1"] = quantity_field("K_L", "K", "cra03")
@@ -65,6 +66,7 @@ class Chain(eqx.Module):
     height: Float[Array, ""] = quantity_field("H/\\lambda_c", "1", "cra41")
     end: Springs = eqx.field(kw_only=True)  # equivalent of all that lies beyond the last site
     law: ForceLaw | None = None
+    residual_strength: Float[Array, ""] | float = quantity_field("r", "1", default=0.0)
 
     @property
     def sites(self) -> int:
@@ -103,6 +105,7 @@ def chain(
     contact: AnyArrayLike | None = None,
     threshold: AnyArrayLike | None = None,
     prestress: AnyArrayLike | None = None,
+    residual_strength: AnyArrayLike | None = None,
     upper: AnyArrayLike | None = None,
     layer: AnyArrayLike = 1.0,
     law: ForceLaw | None = None,
@@ -125,6 +128,8 @@ def chain(
     prestress : array_like, shape () or (N,), optional
         φ_i, the stress on contact i when u_i = u_b,i = 0, balanced by a constant traction (top shear), in σ_s; replaces
         that of the interface.
+    residual_strength : array_like, shape (), optional
+        r in [0, 1), the share of its threshold with which a contact repins; replaces that of the interface.
     upper, layer : array_like, shape () or (N−1,), optional
         Stiffness of each bond of the two layers, in K. K_L = H/λc and 1 by default.
     law : callable, optional
@@ -147,6 +152,12 @@ def chain(
     of_interface = (1.0, 0.0) if interface is None else (interface.threshold_at(numbers), interface.prestress_at(numbers))
     threshold = of_interface[0] if threshold is None else threshold
     prestress = of_interface[1] if prestress is None else prestress
+    kept = kept_share(interface) if residual_strength is None else residual_strength
+    RESIDUAL_STRENGTH.check("residual_strength", kept)
+    if np.shape(kept):
+        raise ValueError(f"residual_strength has shape {np.shape(kept)}: must be one number, of all contacts")
+    if law is not None and (interface is not None and interface.residual_strength is not None or residual_strength is not None):
+        raise ValueError("residual_strength beside a force law: what a contact keeps is stated for linear contacts")
     contact = slider.stiffness if contact is None else contact
     upper = slider.K_L if upper is None else upper
 
@@ -177,6 +188,7 @@ def chain(
         height=jnp.asarray(slider.height),
         end=ends[slider.right](),
         law=law if law is None or isinstance(law, eqx.Module | Partial) else Partial(law),  # pyright: ignore[reportArgumentType]
+        residual_strength=at_least_single(jnp.asarray(kept, q.dtype)),
     )
 
 

@@ -101,7 +101,7 @@ def with_response(f: Callable, chain: Chain, *given: Any) -> Any:
     Lanes that differ only in thresholds or prestress share elimination and response; of others only one is held at a time.
     """
     none = jnp.ones(chain.sites, chain.contact.dtype)
-    springs = eqx.tree_at(lambda c: (c.threshold, c.prestress), chain, (none, none))
+    springs = eqx.tree_at(lambda c: (c.threshold, c.prestress, c.residual_strength), chain, (none, none, none[0]))
 
     def of_springs(springs: Chain) -> tuple[Springs, Response]:
         beyond = eliminate(springs, springs.contact)

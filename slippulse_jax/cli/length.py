@@ -14,6 +14,7 @@ from slippulse_jax.cli.shared import (
     print_json,
     push_control,
     refuse,
+    residual_strength,
     right_end,
     slider_options,
 )
@@ -38,6 +39,7 @@ OF_EXPERIMENT = {
     groups={
         "Slider, over λc": "height stiffness poisson",
         "Slider, in SI": "height-mm correlation-length-um areal-stiffness young-gpa experiment",
+        "Contacts": "residual-strength",
         "Ends": "right sites block-length-mm machine",
         "Pushed block": "push-height push-width push-control friction normal-stiffness contact-law top",
         "Output": "json help",
@@ -49,6 +51,7 @@ OF_EXPERIMENT = {
 @click.option("--correlation-length-um", type=float, metavar="UM", help="Correlation length λc.")
 @click.option("--areal-stiffness", type=float, metavar="PA/M", help="Interfacial shear stiffness per area, k/λc².")
 @click.option("--young-gpa", type=float, metavar="GPA", help="Young's modulus.")
+@residual_strength(float)
 @right_end
 @click.option("--sites", type=click.IntRange(min=2), metavar="N", help="Number of contacts of a chain with a right end.")
 @click.option("--block-length-mm", type=float, metavar="MM", help="Length of the body; its end is free by default.")
@@ -63,6 +66,7 @@ def command(
     right: str,
     sites: int | None,
     push_control: Any,
+    residual_strength: float | None,
     as_json: bool,
     **given: Any,
 ) -> None:
@@ -83,19 +87,23 @@ def command(
     form = one_form(given, "slider", ("height", "stiffness"), si)
     length = sites if block_length_mm is None else _in_sites(block_length_mm, sites, given["correlation_length_um"])
     with jax.enable_x64(True):
+        from slippulse_jax.interface import Interface
         from slippulse_jax.slider import Slider
 
         try:
+            interface = None if residual_strength is None else Interface(residual_strength=residual_strength)
             slider = (Slider if "height" in form and "stiffness" in form else Slider.from_material)(**form, poisson=poisson)
             numbers = slider.height, slider.stiffness, slider.poisson
             asked = {"height": float(slider.height), "stiffness": float(slider.stiffness), "poisson": poisson}
+            asked["residual_strength"] = residual_strength
             if push_height is None:
                 end: Any = None if right == "semi-infinite" else right
-                result, text = asked | _of_slider(Slider(*numbers, length=length, right=end, machine=machine)), _text
+                one = Slider(*numbers, length=length, right=end, machine=machine)
+                result, text = asked | _of_slider(one, interface), _text
             else:
                 push = {"push_height": push_height, "push_width": push_width, "push_control": push_control or "displacement"}
                 pressed |= {"length": None if length is None else round(length), "machine": machine}
-                result, text = asked | _of_block(slider, push, pressed), _block_text
+                result, text = asked | _of_block(slider, push, pressed, interface), _block_text
         except ValueError as error:
             refuse(error)
     if "correlation_length" in form:
@@ -145,7 +153,7 @@ def _in_sites(block_length_mm: float, sites: int | None, correlation_length_um: 
     return block_length_mm / (correlation_length_um * 1e-3)
 
 
-def _of_slider(slider: "Slider") -> dict[str, Any]:
+def _of_slider(slider: "Slider", interface: Any) -> dict[str, Any]:
     import jax
 
     from slippulse_jax.base.status import NotConverged, Outcome
@@ -153,8 +161,8 @@ def _of_slider(slider: "Slider") -> dict[str, Any]:
     from slippulse_jax.front.arrest import MOST_BREAKS, arrest
 
     ended, load = jax.jit(  # one program: op by op JAX would compile sixty
-        lambda slider: (arrest(slider), lattice_modes(slider).load)
-    )(slider)
+        lambda slider, interface: (arrest(slider, interface), lattice_modes(slider).load)
+    )(slider, interface)
     status = Outcome(int(ended.status))
     if status is Outcome.LIMIT:
         raise NotConverged(f"{status.message}: {MOST_BREAKS}")
@@ -173,14 +181,14 @@ def _of_slider(slider: "Slider") -> dict[str, Any]:
     }
 
 
-def _of_block(slider: "Slider", push: dict[str, Any], contacts: dict[str, Any]) -> dict[str, Any]:
+def _of_block(slider: "Slider", push: dict[str, Any], contacts: dict[str, Any], interface: Any) -> dict[str, Any]:
     from slippulse_jax.block import Block, Push
     from slippulse_jax.exact.front import exact_length
     from slippulse_jax.precursor import precursor_length
 
     block = Block(slider.height, slider.stiffness, slider.poisson, Push(*push.values()), **contacts)
-    lengths = {"length": float(precursor_length(block)), "length_of_slider": float(exact_length(slider))}
-    return {**push, **contacts, "sites": block.sites, **lengths}
+    lengths = {"length": precursor_length(block, interface), "length_of_slider": exact_length(slider, interface)}
+    return {**push, **contacts, "sites": block.sites, **{name: float(x) for name, x in lengths.items()}}
 
 
 def _block_text(result: dict[str, Any]) -> str:
@@ -225,7 +233,8 @@ def _text(result: dict[str, Any]) -> str:
 
 
 def _numbers(result: dict[str, Any]) -> str:
-    return f"H/λc = {result['height']:.6g}, k/K = {result['stiffness']:.6g}, ν = {result['poisson']:g}"
+    kept = "" if result["residual_strength"] is None else f", r = {result['residual_strength']:g}"
+    return f"H/λc = {result['height']:.6g}, k/K = {result['stiffness']:.6g}, ν = {result['poisson']:g}{kept}"
 
 
 def _in_mm(result: dict[str, Any]) -> str:

@@ -14,6 +14,7 @@ from slippulse_jax.cli.shared import (
     output_path,
     print_json,
     refuse,
+    residual_strength,
     right_end,
     save_figure,
     slider_options,
@@ -31,7 +32,7 @@ BREAKS_AN_EVENT = 50
     groups={
         "Chain": "height stiffness poisson sites right",
         "Loading": "events step spring",
-        "Contacts after a break": "repin-delay newborn recovery",
+        "Contacts after a break": "repin-delay residual-strength newborn recovery",
         "Output": "out figure json help",
     },
 )
@@ -46,13 +47,14 @@ BREAKS_AN_EVENT = 50
 @click.option(
     "--repin-delay", type=click.IntRange(min=0), default=0, metavar="N", help="Breaks during which a contact stays detached."
 )
+@residual_strength(float)
 @click.option("--out", callback=output_path("csv"), metavar="FILE", help="Write the catalogue to a .csv instead of stdout.")
 @click.option("--figure", callback=figure_path, metavar="FILE", help="Draw the friction curve and the space–time map.")
 @as_json
 def command(
     height: float, stiffness: float, poisson: float, sites: int, events: int, right: str, step: float | None,
     spring: float | None, newborn: float | None, recovery: float | None, repin_delay: int,
-    out: Path | None, figure: Path | None, as_json: bool,
+    residual_strength: float | None, out: Path | None, figure: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
     """Compute a series of precursors of a slider, as CSV.
 
@@ -83,7 +85,7 @@ def command(
             protocol = Steps(step) if step is not None else Spring(spring) if spring is not None else Adiabatic()
             ageing = None if newborn is None or recovery is None else Ageing(newborn, recovery)
             end: dict[str, Any] = {} if right == "semi-infinite" else {"length": sites, "right": right}
-            one = chain(Slider(height, stiffness, poisson, **end), sites=sites)
+            one = chain(Slider(height, stiffness, poisson, **end), sites=sites, residual_strength=residual_strength)
             run = partial(series, one, protocol, events=events, ageing=ageing, repin_delay=repin_delay)
             room = BREAKS_AN_EVENT * events if figure else 0
             found = run(recorded_breaks=room)

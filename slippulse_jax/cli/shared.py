@@ -159,6 +159,12 @@ def contacts_of_block(kind: Any) -> Option:
     )
 
 
+def residual_strength(kind: Any) -> Option:
+    """Option of what a contact keeps; a number of a `kind`."""
+    text = "Share of its strength that a contact keeps as it breaks."
+    return click.option("--residual-strength", type=kind, metavar="r", help=text)
+
+
 def slider_options(*, required: bool) -> Option:
     """Options of one slider in λc, `required` or not."""
     return together(

@@ -19,6 +19,7 @@ from slippulse_jax.cli.shared import (
     option,
     print_json,
     refuse,
+    residual_strength,
     right_end,
     save_figure,
     table_path,
@@ -42,7 +43,7 @@ def _pair(ctx: click.Context, parameter: click.Parameter, value: str | None) -> 
 @click.command(
     cls=Grouped,
     groups={
-        "Slider": "height stiffness poisson prestress threshold-slope width right sites",
+        "Slider": "height stiffness poisson prestress threshold-slope residual-strength width right sites",
         "Pushed block": "push-height push-width push-control friction normal-stiffness contact-law top",
         "Output": "outputs points out figure json",
         "Store and workers": "store resume chunk share scheduler help",
@@ -53,6 +54,7 @@ def _pair(ctx: click.Context, parameter: click.Parameter, value: str | None) -> 
 @click.option("--poisson", type=VALUES, required=True, metavar="ν", help="Poisson's ratio.")
 @click.option("--prestress", type=VALUES, metavar="φ", help="Prestress of the contacts, in σ_s.")
 @click.option("--threshold-slope", type=VALUES, metavar="ε", help="Threshold gradient, in σ_s per site.")
+@residual_strength(VALUES)
 @click.option("--width", type=VALUES, metavar="w", help="Width of the smooth break rule, for smooth_length.")
 @click.option("--push-height", type=VALUES, metavar="h/H", help="Height of the push, for block_precursor_length.")
 @click.option(

@@ -2,10 +2,11 @@
 
 The most overloaded breaks next. A break changes the readings of every contact by a known amount, as in
 `slippulse_jax.bodies.response`: its stress and, where its threshold follows the pressure, that too. A contact breaks where its
-stress reaches threshold times pressure, and releases it. The first whose pressure is used up lifts off, which ends the event.
+stress reaches threshold times pressure, its strength. It keeps a share r of that, in the paper none, and releases the rest. The
+first whose pressure is used up lifts off, which ends the event.
 
-A contact may repin some breaks after it broke. Until then it is detached and carries no stress: its pinning point follows the
-layer. Each break therefore moves the pinning points of all detached contacts such that their stress stays zero.
+A contact may repin some breaks after it broke. Until then it is detached and carries what it kept: its pinning point follows
+the layer. Each break therefore moves the pinning points of all detached contacts such that their stress stays the same.
 """
 
 from collections.abc import Callable
@@ -37,8 +38,10 @@ class Event(NamedTuple):
     times: Int[Array, " N"]  # how often it broke
     turn: Int[Array, " N"]  # breaks before it first broke; −1 if it did not
     breaks: Int[Array, ""]
-    stretched: Float[Array, ""]  # Σ t² (k/k_i) over the breaks: twice the energy of the broken contacts' stretch over k
-    relaxed: Float[Array, ""]  # Σ t t' (k/k_i), with t' the stress on the contact after its break
+    stretched: Float[Array, ""]  # Σ (t² − t_r²)(k/k_i) over the breaks, from t to t_r: twice the energy of stretch over k
+    # Σ (t − t_r)(t' − t_r)(k/k_i), with t' the stress on the contact after its break; and what detached contacts rub, twice
+    # their stress times how far their pinning points follow the layer
+    relaxed: Float[Array, ""]
     order: Int[Array, " L+1"]  # sites in order of breaking, −1 where none; the last entry is scratch space
     each: Float[Array, " L+1"]  # stress each break released
 
@@ -111,6 +114,7 @@ def event(
     threshold: Float[Array, " N"],
     *,
     limit: int | Array,
+    residual_strength: Array | float = 0.0,
     renewed: Float[Array, " N"] | None = None,
     trigger: int | Array = -1,
     last: int | Array = -1,
@@ -119,10 +123,10 @@ def event(
 ) -> Event:
     """Break contacts until none is at its threshold.
 
-    Or `limit` have broken, or contact `last` has. Thresholds are inf where there is no contact, and `renewed` once it
-    has broken. The contact `trigger` breaks first, whatever its overload; −1, like that of `last`, for none. A broken contact
-    stays detached for `delay` breaks, where no pressure is read. `log` is arrays for the sites in order of breaking and what
-    each released, and the place of the first break.
+    Or `limit` have broken, or contact `last` has. A contact keeps the share `residual_strength` of its strength. Thresholds are
+    inf where there is no contact, and `renewed` once it has broken. The contact `trigger` breaks first, whatever its overload;
+    −1, like that of `last`, for none. A broken contact stays detached for `delay` breaks, where no pressure is read. `log` is
+    arrays for the sites in order of breaking and what each released, and the place of the first break.
     """
     renewed = threshold if renewed is None else renewed
     zero, none = jnp.zeros_like(readings[0]), jnp.zeros((), jnp.int32)
@@ -140,7 +144,8 @@ def event(
         """
         site, most_over = most(now.excess)
         site = jnp.where(forced(now), trigger, site)
-        return most_over, site, overload(now.readings[:, site], now.threshold[site]), now.stress[site], now.times[site] == 0
+        over, stress = overload(now.readings[:, site], now.threshold[site]), now.stress[site]
+        return most_over, site, over, stress, residual_strength * (stress - over), now.times[site] == 0
 
     def going(state: tuple) -> Array:
         now, (most_over, *_), _ = state
@@ -150,13 +155,14 @@ def event(
         return (forced(now) | (most_over >= 0)) & (now.breaks < limit) & ~ended
 
     def step(state: tuple) -> tuple:
-        now, (_, site, over, t, first), detached = state
-        if delay:
-            readings, released, after, detached = _held(response, now, site, detached)
-        else:
-            readings = now.readings.at[0, site].set(0) + response.matrix[site] * t
-            released, after = now.released.at[site].add(t), readings[0, site]
+        now, (_, site, over, stress, kept, first), detached = state
+        t = stress - kept
         soft, row = response.soft[site] * t, jnp.minimum(logged + now.breaks, now.order.size - 1)
+        if delay:
+            readings, released, relaxed, detached = _held(response, now, site, stress, kept, detached)
+        else:
+            readings = now.readings.at[0, site].set(kept) + response.matrix[site] * t
+            released, relaxed = now.released.at[site].add(t), soft * (readings[0, site] - kept)
         now = now._replace(
             readings=readings,
             threshold=now.threshold.at[site].set(renewed[site]),
@@ -165,8 +171,8 @@ def event(
             times=now.times.at[site].add(1),
             turn=now.turn.at[site].add(jnp.where(first, now.breaks + 1, 0)),
             breaks=now.breaks + 1,
-            stretched=now.stretched + soft * t,
-            relaxed=now.relaxed + soft * after,
+            stretched=now.stretched + soft * (stress + kept),
+            relaxed=now.relaxed + relaxed,
             order=now.order.at[row].set(site),
             each=now.each.at[row].set(t),
         )
@@ -181,20 +187,24 @@ def empty_log(breaks: int, dtype: Any) -> tuple[Int[Array, " L+1"], Float[Array,
     return jnp.full(breaks + 1, -1, jnp.int32), jnp.zeros(breaks + 1, dtype), 0
 
 
-def _held(response: Response, now: Event, site: Array, detached: Int[Array, " n"]) -> tuple[Array, Array, Array, Array]:
-    """Break a contact, and keep all detached ones free of stress.
+def _held(
+    response: Response, now: Event, site: Array, stress: Array, kept: Array, detached: Int[Array, " n"]
+) -> tuple[Array, Array, Array, Array]:
+    """Break a contact, and hold the stress of all detached ones.
 
-    Readings, what every contact released, of the broken one the displacement of its site as a stress, and those detached now.
+    Readings, what every contact released, the change of `Event.relaxed`, and those detached now.
     """
     moving = jnp.append(detached, site)[1:]  # the contact detached longest repins, where it is
     there = moving >= 0
     columns = response.matrix[jnp.maximum(moving, 0), 0]
     green = jnp.where(there[:, None] & there[None], columns[:, jnp.maximum(moving, 0)], 0)
-    t = now.stress[site]
-    unit, at = jnp.eye(moving.size, dtype=t.dtype), jnp.where(there, moving, now.times.size)
+    unit, at = jnp.eye(moving.size, dtype=kept.dtype), jnp.where(there, moving, now.times.size)
+    t = stress - kept
     releases = solve_without_pivots(unit - green.T, unit[-1] * t)
-    stress = (now.stress + releases @ columns).at[at].add(-releases, mode="drop")
-    return stress[None], now.released.at[at].add(releases, mode="drop"), releases[-1] - t, moving
+    followed, soft = releases.at[-1].add(-t), response.soft[moving]
+    relaxed = soft[-1] * t * followed[-1] + 2 * (soft * now.stress[moving].at[-1].set(kept) * followed).sum()
+    after = (now.stress + releases @ columns).at[at].add(-releases, mode="drop")
+    return after[None], now.released.at[at].add(releases, mode="drop"), relaxed, moving
 
 
 def most(x: Float[Array, " N"]) -> tuple[Array, Array]:

@@ -17,6 +17,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from slippulse_jax.base.choices import EventKind
+from slippulse_jax.base.domains import RESIDUAL_STRENGTH
 from slippulse_jax.base.outcomes import first_of, length_or_reason
 from slippulse_jax.base.shown import html, in_a_line, short
 from slippulse_jax.base.status import Outcome
@@ -102,6 +103,7 @@ class Relaxed(NamedTuple):
     valid: Bool[Array, ""] | bool = True  # whether all numbers lie in their domains
     pressed: Any = None  # `blocks.pressed.Pressed`, where stiffness follows the pressure too; stresses are stretches then
     alike: Bool[Array, ""] | bool = False  # whether neighbouring contacts are: a first event ends on a curve
+    residual_strength: Array | float = 0.0  # r, the share of its strength that a contact keeps
 
     @property
     def readings(self) -> Float[Array, "r N"]:
@@ -125,7 +127,7 @@ def contacts_of_chain(body: Chain, beyond: Springs | None = None, response: Resp
     beyond = eliminate(body, body.contact) if beyond is None else beyond
     attached = body.contact > 0
     prestress = jnp.where(attached, body.prestress, 0)
-    holds = (body.threshold > prestress).all() & (body.threshold > 0).all()
+    holds = (body.threshold > prestress).all() & (body.threshold > 0).all() & RESIDUAL_STRENGTH.holds(body.residual_strength)
     return Relaxed(
         response=of_chain(body, beyond) if response is None else response,
         threshold=jnp.where(attached, body.threshold, jnp.inf),
@@ -134,6 +136,7 @@ def contacts_of_chain(body: Chain, beyond: Springs | None = None, response: Resp
         last=body.sites - 1,
         valid=all_numbers(body, body.relaxed()) & holds & ~floats(body, beyond),
         alike=alike(body, jnp.zeros_like(prestress)),
+        residual_strength=body.residual_strength,
     )
 
 
@@ -197,6 +200,7 @@ def event_from(
         start.readings,
         threshold,
         limit=most_breaks if limit is None else limit,
+        residual_strength=body.residual_strength,
         renewed=None if kind == "full" else jnp.full_like(threshold, jnp.inf),
         trigger=start.first,
         last=jnp.asarray(body.last) % sites,
@@ -205,15 +209,17 @@ def event_from(
 
 
 def slopes_of_length(
-    found: Event, start: Nucleation, threshold: Float[Array, " N"], alike: bool | Array
-) -> tuple[Float[Array, "r N"], Float[Array, "N r N"], Float[Array, " N"]]:
-    """Derivatives of ℓ in readings, matrix and threshold, at fixed break order.
+    found: Event, start: Nucleation, body: Relaxed
+) -> tuple[Float[Array, "r N"], Float[Array, "N r N"], Float[Array, " N"], Array]:
+    """Derivatives of ℓ in readings, matrix, threshold and r.
 
-    Of a logged event; `alike` as for its length. From the last break back to the first, λ is the derivative in the readings of
-    every contact: a break of contact o that released t set its stress to zero and added t times its column.
+    Of a logged event, at a fixed order of breaks. From the last break back to the first, λ is the derivative in the readings of
+    every contact: a break of contact o that released t set its stress to what it kept, r θ times its pressure then, and added t
+    times its column.
     """
-    order, each, matrix = found.order, found.each, start.response.matrix
-    at, over, degree = found.front_of(alike)
+    order, each, matrix, threshold = found.order, found.each, start.response.matrix, body.threshold
+    lost = 1 - jnp.asarray(body.residual_strength)
+    at, over, degree = found.front_of(body.alike)
     ahead, none = jnp.minimum(at + 1, threshold.size - 1), jnp.zeros_like(threshold)
     of_over, of_short = jax.grad(found.end, (1, 2))(at, over, found.excess[ahead], degree)
     # of every contact that broke: what its overload as the front passed is to ℓ, and when that was
@@ -221,21 +227,25 @@ def slopes_of_length(
     of_over, reached = jnp.where(reached >= 0, of_over, 0), jnp.maximum(reached, 0)
     passed = jnp.argmax(order[None] == reached[:, None], axis=1).astype(jnp.int32)
     weak, short = threshold[reached], threshold[ahead]  # all can break
-    of_threshold = none.at[reached].add(-of_over * (each[passed] - over) / weak)
+    of_threshold = none.at[reached].add(-of_over * (each[passed] - over) / (weak * lost))
     of_threshold = of_threshold.at[ahead].add(-of_short * (1 if found.pressure is None else found.pressure[ahead]))
 
     def back(state: tuple) -> tuple:
-        number, of_readings, of_matrix = state
+        number, of_readings, of_matrix, of_threshold, of_kept, pressure = state
         site, t, front = order[number], each[number], jnp.where(number == passed, of_over, 0)
         of_t = (matrix[site] * of_readings).sum()
+        held = of_readings[0, site] - of_t  # the derivative in what the contact keeps
         of_matrix = of_matrix.at[site].add(of_readings * t)
-        passing = jnp.stack([front.sum(), -(front * weak).sum()])[: len(of_readings)]
-        return number - 1, of_readings.at[0, site].set(of_t).at[:, site].add(passing), of_matrix
+        pressure = pressure - matrix[site, 1:] * t  # as it was before the break
+        then = pressure[0, site] if len(pressure) else 1.0
+        passing = jnp.stack([front.sum(), (1 - lost) * threshold[site] * held - (front * weak).sum()])[: len(of_readings)]
+        of_readings = of_readings.at[0, site].set(of_t).at[:, site].add(passing)
+        of_threshold = of_threshold.at[site].add((1 - lost) * then * held)
+        return number - 1, of_readings, of_matrix, of_threshold, of_kept + threshold[site] * then * held, pressure
 
     begin = jnp.zeros_like(found.readings).at[:, ahead].add(jnp.stack([of_short, -of_short * short])[: len(found.readings)])
-    last = found.breaks - 1, begin, jnp.zeros_like(matrix)
-    _, of_readings, of_matrix = lax.while_loop(lambda state: state[0] >= 0, back, last)
-    return of_readings, of_matrix, of_threshold
+    last = found.breaks - 1, begin, jnp.zeros_like(matrix), of_threshold, none[0], found.readings[1:]
+    return lax.while_loop(lambda state: state[0] >= 0, back, last)[1:5]
 
 
 def ended(found: Event, start: Nucleation, body: Relaxed, kind: EventKind) -> tuple[Int[Array, ""], Float[Array, ""]]:
@@ -304,8 +314,8 @@ def _length_jvp(kind: EventKind, primals: tuple, tangents: tuple) -> tuple[Array
     (start, body), (moved, changed) = primals, tangents
     found = event_from(start, body, kind, logged=True)
     length = ended(found, start, body, kind)[1]
-    changes = moved.readings, moved.response.matrix, changed.threshold
-    slopes = slopes_of_length(found, start, body.threshold, body.alike)
+    changes = moved.readings, moved.response.matrix, changed.threshold, changed.residual_strength
+    slopes = slopes_of_length(found, start, body)
     change = sum(jax.tree.leaves(jax.tree.map(lambda slope, x: (slope * x).sum(), slopes, changes)))
     return length, change * jnp.where(jnp.isfinite(length), 1, jnp.nan)  # without a length there is no derivative either
 
@@ -318,8 +328,10 @@ def smooth_length(contacts: Relaxed, rule: BreakRule) -> Float[Array, ""]:
     threshold, last, start = contacts.threshold, contacts.last, nucleated(contacts)
 
     def ahead(front: Front) -> tuple[Array, Array]:
+        """What a contact can lose, and that at which it breaks."""
         stress, *pressure = front.loads[:, front.position]
-        return stress, threshold[front.position] * (pressure[0] if pressure else 1)
+        strength = threshold[front.position] * (pressure[0] if pressure else 1)
+        return stress - contacts.residual_strength * strength, (1 - contacts.residual_strength) * strength
 
     def release(front: Front, part: Any, released: Array) -> Front:
         return front._replace(
@@ -327,7 +339,7 @@ def smooth_length(contacts: Relaxed, rule: BreakRule) -> Float[Array, ""]:
         )
 
     at_edge = Front(start.readings, None, None, jnp.int32(0))
-    _, _, part, length = follow(rule, release(at_edge, 1, start.readings[0, 0]), ahead, release, last)
+    _, _, part, length = follow(rule, release(at_edge, 1, ahead(at_edge)[0]), ahead, release, last)
     valid = contacts.valid & (start.first == 0) & rule.in_domain()
     return length_or_reason(first_of({Outcome.INVALID: ~valid, Outcome.RAN_THROUGH: part > FADED}), length)
 

@@ -175,7 +175,9 @@ def simulate_inertial(
     given("trigger", first, lambda x: (x >= -1) & (x < sites), f"must be −1 … {sites - 1}")
     if isinstance(rule, CrackLike):
         below = "must be 0 or more and below every threshold, in σ_s"
+        none = "must be 0 under CrackLike, whose contacts carry its friction"
         of_rule = given("CrackLike.friction", rule.friction, lambda x: (x >= 0) & (x < least), below)
+        of_rule = of_rule + given("residual_strength of the chain", chain.residual_strength, lambda x: x == 0, none)
     else:
         of_rule = given("SelfHealing.break_time", rule.break_time, lambda x: x >= 0, "must be 0 or more, in √(m/K)")
     if state is None:
@@ -202,7 +204,7 @@ def _simulate(
     soft = k / jnp.where(attached, chain.contact, jnp.inf)
     sites = jnp.arange(chain.sites)
     held = jnp.where(sites == 0, 0.0, 1.0)  # u_t[0] is imposed
-    friction = rule.friction if isinstance(rule, CrackLike) else 0.0
+    kept: Any = rule.friction if isinstance(rule, CrackLike) else chain.residual_strength * chain.threshold  # by a break
 
     def kinetic(v: tuple[Array, Array]) -> Array:
         return ((mass[0] * v[0] ** 2 * held).sum() + (v[1] ** 2).sum()) / 2
@@ -221,13 +223,13 @@ def _simulate(
         v = (v[0] + held * pull[0] * dt / (2 * mass[0]), v[1] + pull[1] * dt / 2)
         after = now._replace(x=x, v=v, pull=pull, pinning=pinning, n=now.n + 1, since=now.since + dt)
         work = now.work - (now.pull[0][0] + pull[0][0]) / 2 * velocity * dt  # of the force that holds the left edge
-        return after._replace(work=work, rubbed=now.rubbed + k * friction * moved.sum())
+        return after._replace(work=work, rubbed=now.rubbed + k * (kept * moved).sum())
 
     def break_those(now: MotionState, those: Array) -> MotionState:
         t = chain.stress(now.x[1], now.pinning)
-        lost = jnp.where(those, t - friction, 0)
+        lost = jnp.where(those, t - kept, 0)
         pinning = now.pinning + lost * soft
-        energy = (jnp.where(those, (t**2 - friction**2) * soft, 0) * k / 2).sum()
+        energy = (jnp.where(those, (t**2 - kept**2) * soft, 0) * k / 2).sum()
         return now._replace(
             pinning=pinning,
             sliding=now.sliding | those if isinstance(rule, CrackLike) else now.sliding,

@@ -78,8 +78,9 @@ def rupture(
 ) -> Rupture:
     """Follow one rupture at a fixed load.
 
-    The most overloaded contact (largest t_i − θ_i; the leftmost of equals) breaks and repins with zero stretch, and the
-    stresses adjust. This is repeated until no contact is at or above its threshold. Contacts may break many times.
+    The most overloaded contact (largest t_i − θ_i; the leftmost of equals) breaks and repins with what it keeps, nothing in the
+    paper, and the stresses adjust. This is repeated until no contact is at or above its threshold. Contacts may break many
+    times.
 
     Parameters
     ----------
@@ -97,7 +98,7 @@ def rupture(
     max_breaks : int, optional
         Limit on the number of breaks, and length of their record; 50 N by default.
     repin_delay : int
-        Number n of breaks for which a broken contact stays detached: it repins, at zero stretch, when the nth contact after
+        Number n of breaks for which a broken contact stays detached: it repins, with what it kept, when the nth contact after
         it breaks, or when the rupture ends. For a front that breaks one contact after another this is a delay in sites, as
         of a pulse n sites wide.
 
@@ -264,6 +265,7 @@ def one_rupture(
             jnp.where(good, stress, 0)[None],
             threshold,
             limit=max_breaks,
+            residual_strength=chain.residual_strength,
             trigger=jnp.where(good, trigger, -1),
             delay=delay,
             log=empty_log(max_breaks, threshold.dtype),
@@ -304,9 +306,9 @@ def smooth_rupture(chain: Chain, state: State, rule: BreakRule, trigger: Array) 
     """Follow one rupture under a smooth rule; differentiable in every field.
 
     The front sweeps from the left edge to the right. It reaches each contact once, loaded by all the stress that the
-    contacts before it released, and the contact releases p(t) t. The trigger breaks completely. The order of breaks is
-    fixed and no contact breaks twice; this makes the sweep smooth, and is its approximation. As w → 0 it becomes the hard
-    rupture, where that is a single front from left to right.
+    contacts before it released, and the contact releases p(t) t, or that share of what it can lose. The trigger breaks
+    completely. The order of breaks is fixed and no contact breaks twice; this makes the sweep smooth, and is its approximation.
+    As w → 0 it becomes the hard rupture, where that is a single front from left to right.
 
     `order` lists the sites in the order of the sweep, `released` the stress each released, `broken` the fraction of each
     contact that broke, and `length` is ℓ_w, from the left edge to where p has faded. `breaks` and `extent` count the contacts
@@ -314,7 +316,8 @@ def smooth_rupture(chain: Chain, state: State, rule: BreakRule, trigger: Array) 
     """
 
     def breaking(chain: Chain, beyond: Springs, stress: Array, trigger: Array, _: Array) -> Broken:
-        (right, source, _, _), theta = propagators(chain, beyond), chain.threshold
+        (right, source, _, _), kept = propagators(chain, beyond), chain.residual_strength * chain.threshold
+        theta = chain.threshold - kept  # of what contacts can lose, as the stress in what follows
 
         def step(arriving: Array, here: tuple) -> tuple[Array, tuple]:
             P, source, stress, threshold, contact, site = here
@@ -323,7 +326,7 @@ def smooth_rupture(chain: Chain, state: State, rule: BreakRule, trigger: Array) 
             return (P * (arriving + source * p * t)[None, :]).sum(-1), (p, t)
 
         sites = jnp.arange(chain.sites, dtype=jnp.int32)
-        in_turn = (right, source, stress, theta, chain.contact, sites)
+        in_turn = (right, source, stress - kept, theta, chain.contact, sites)
         _, (p, t) = lax.scan(step, jnp.zeros(2, theta.dtype), in_turn)
         first, most = jnp.maximum(trigger, 0), p > 0.5
         steps = jax.vmap(rule.overloaded_length)(t[:-1], t[1:], theta[:-1], theta[1:])

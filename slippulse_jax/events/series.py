@@ -7,7 +7,8 @@ only at the end, to measure the accumulated rounding errors.
 * A break at j that releases the stress t_j adds q_i G_ij t_j to every stress (`slippulse_jax.bodies.response`).
 * By reciprocity it lowers the force on the left edge by k t_j du_j/dU.
 * It releases the energy (k t_j)²/2k_j of the broken contact's own stretch, and a further (k t_j)(k t_j')/2k_j as the chain
-  relaxes to equilibrium, where the contact carries t_j'.
+  relaxes to equilibrium, where the contact carries t_j'. (A contact that repins with t_r releases t_j − t_r: (t_j² − t_r²) and
+  (t_j − t_r)(t_j' − t_r) then stand for these.)
 * The rest of the work of the drive is stored.
 
 A break costs O(N) (`slippulse_jax.events.event`).
@@ -21,11 +22,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
 from slippulse_jax.base.domains import Domain, check_kind, check_whole
-from slippulse_jax.base.status import Outcome
+from slippulse_jax.base.shown import short
+from slippulse_jax.base.status import NotConverged, Outcome
 from slippulse_jax.base.units import as_float
 from slippulse_jax.block import Block, checked_sites
 from slippulse_jax.bodies.chain import Chain, Springs, State, check_linear
@@ -37,7 +40,7 @@ from slippulse_jax.events.ageing import Ageing, next_crossing
 from slippulse_jax.events.catalogue import COLUMNS, Catalogue, EventClass
 from slippulse_jax.events.event import BREAKS_PER_SITE, LOST, event, first_to_break, most, overload, rises
 from slippulse_jax.events.first import Relaxed, contacts_of_chain
-from slippulse_jax.interface import AnyInterface, Interface, Profile
+from slippulse_jax.interface import AnyInterface, Interface, Profile, kept_share
 from slippulse_jax.slider import Slider
 
 
@@ -92,6 +95,8 @@ LIFTED = 1e-3
 BALANCED = 1e-9
 """Stretch, in u_s, by which Newton's method may leave a contact short of its threshold."""
 POSITIVE = Domain(0, float("inf"), "must be positive and finite")
+FEW_EVENTS, MOST_EVENTS = 8, 512
+"""Events for each contact that a series has at first, and at most, until a front spans."""
 
 
 def series(
@@ -124,9 +129,9 @@ def series(
         Number of contacts resolved of a body without end, which must be given; from 2 to 8192, of sliders to 4096.
     ageing : Ageing, optional
         Contacts that never broke have the thresholds of the chain; those that did are reborn weak. By default they recover
-        immediately.
+        immediately. What a contact keeps is a share of its strength as it breaks, and less than that of a newborn one.
     repin_delay : int
-        Number n of breaks for which a broken contact stays detached: it repins, at zero stretch, when the nth contact after
+        Number n of breaks for which a broken contact stays detached: it repins, with what it kept, when the nth contact after
         it breaks, or when the event ends. For a front that breaks one contact after another this is a delay in sites.
     until : array_like, shape (), optional
         Load at which the series ends: the first event at or beyond it is the last.
@@ -168,6 +173,12 @@ def series(
         raise TypeError(f"protocol = {protocol!r}: must be Adiabatic(), Steps(size) or Spring(stiffness)")
     for name in ("size", "stiffness", "velocity"):
         POSITIVE.check(f"{type(protocol).__name__}.{name}", getattr(protocol, name, 1.0))
+    kept = body.residual_strength if isinstance(body, Chain) else kept_share(interface)
+    if ageing is not None and not isinstance(weak := kept >= jnp.asarray(ageing.newborn), Tracer) and weak.any():
+        raise ValueError(
+            f"Ageing.newborn = {short(ageing.newborn)} beside residual_strength = {short(kept)}: must be larger; a newborn "
+            "contact that is weaker than what it keeps breaks at once"
+        )
     if isinstance(body, Block) and body.friction is not None and repin_delay:
         raise ValueError(f"repin_delay = {repin_delay}: contacts of a block with friction repin at once")
     # of a block, which says itself where it ends, a power of two, so that similar ones share a program
@@ -180,6 +191,58 @@ def series(
         loading = Loading(protocol, ageing, until, jnp.asarray(stop_when_spanning), most, jnp.asarray(sites - 1))
         found = run_series(shape, body, interface, loading)
     return found._replace(state=State(found.state.pinning[..., :sites], found.state.load))
+
+
+def static_friction(
+    body: Any,
+    interface: Interface | Profile | None = None,
+    *,
+    ageing: Ageing | None = None,
+    events: int | None = None,
+) -> Float[Array, ""]:
+    """Largest force over μF_N before a block slides as a whole.
+
+    From its series, up to the event in which the front spans the block. Fronts that creep by single contacts count.
+
+    Parameters
+    ----------
+    body : Block or Slider
+        One that ends, or a body of yours (docs/howto/extend.md). With friction the result is the coefficient of static friction
+        of the block over that of a contact, μ; without, the force is over that at which all contacts carry their thresholds.
+    interface, ageing
+        As for `series`.
+    events : int, optional
+        Events after which the series is given up. By default as many as are needed, under ``jit`` and ``vmap`` 8 per contact.
+
+    Returns
+    -------
+    array
+        In (0, 1]; NaN under ``jit`` and ``vmap`` if no front spans.
+
+    Raises
+    ------
+    NotConverged
+        If no front spans the block, and nothing is traced.
+    ValueError, TypeError
+        As of `series`.
+
+    Notes
+    -----
+    It falls as the block becomes longer, or the interface stiffer, and rises towards 1 with what contacts keep. Stresses are in
+    σ_s = μF_N/(area), so that the normal load itself has no part in it as long as k stays the same; where k grows with the
+    load, k/K does.
+    """
+    sites = checked_sites(body, None)
+    count = FEW_EVENTS * sites if events is None else events
+    while True:
+        found = series(body, events=count, interface=interface, ageing=ageing)
+        spans = found.kind == EventClass.SPANNING
+        if isinstance(found.status, Tracer) or found.status == Outcome.SPANNED:
+            return jnp.where(spans.any(), jnp.nanmax(found.force_before) / found.strength, jnp.nan)
+        if found.status != Outcome.DONE or events is not None or count >= MOST_EVENTS * sites:
+            after = f", after {int(found.number)} events" if found.status == Outcome.DONE else ""
+            raise NotConverged(f"no front spans {body}{after}: {Outcome(int(found.status)).message}")
+        count *= 4
 
 
 def _check_pusher(body: Any, protocol: Protocol) -> None:
@@ -209,6 +272,8 @@ def of_contacts(shape: Shape, body: Relaxed, loading: Loading) -> Catalogue:
     body = body.up_to(loading.last)
     response, threshold, prestress, k, *_ = body
     sound = jnp.isfinite(response.matrix[:, 0]).all() & ((threshold > prestress) & (threshold > 0)).all()
+    if loading.ageing is not None:  # a newborn contact weaker than what it keeps would break at once
+        sound = sound & (jnp.asarray(body.residual_strength) < loading.ageing.newborn)
     body = body._replace(valid=body.valid & sound)
     end = load_through(shape, body, loading)
     u, pinning = end.load, response.soft * end.released
@@ -313,6 +378,7 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
         renewed=renewed,
         trigger=trigger,
         limit=loading.max_breaks,
+        residual_strength=body.residual_strength,
         delay=delay,
         log=(now.order, jnp.zeros(now.order.size, rise.dtype), now.total),
     )

@@ -18,7 +18,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from slippulse_jax.base.domains import HEIGHT, POISSON, PRESTRESS
+from slippulse_jax.base.domains import HEIGHT, POISSON
 from slippulse_jax.base.status import Outcome
 from slippulse_jax.bulk.chunks import Lanes, Layout, over_lanes
 from slippulse_jax.exact import double_series
@@ -69,7 +69,8 @@ def exact_lengths(
     interface : Interface, optional
         As for `exact_length`.
     derivatives : {0, 1}
-        1 for derivatives with respect to H/λc, k/K, ν and, with an `interface`, φ, ε. For second ones use `exact_length`.
+        1 for derivatives with respect to H/λc, k/K, ν and, with an `interface`, φ and ε, or φ and r. For second ones use
+        `exact_length`.
 
     Returns
     -------
@@ -110,6 +111,9 @@ def exact_lengths(
     # a constant where nothing follows contact 0; never a number where there is no length
     elsewhere = np.where(status == Outcome.NO_DOMINO, 0, np.nan)
     slopes = [x.reshape(shape) for x in np.where(status == Outcome.ARRESTED, found, elsewhere)]
+    if interface is not None and interface.residual_strength is not None:  # of φ' = (φ − r)/(1 − r)
+        by_prestress = slopes[3] / (1 - interface.residual_strength)
+        slopes[3:] = [by_prestress, np.full(shape, np.nan), by_prestress * (interface.equivalent_prestress - 1)]
     return LengthDerivatives(length, *jax.tree.unflatten(jax.tree.structure((slider, interface)), slopes))
 
 
@@ -194,7 +198,7 @@ def _edges(lanes: Float[Array, "6 lanes"]) -> tuple[Array]:
     return (double_series.edge_stress(series_of(lanes[:5]), lanes[5]),)
 
 
-def rebreaking_onset(height: Any, poisson: Any, prestress: Any = 0.0) -> Float[np.ndarray, "..."]:
+def rebreaking_onset(height: Any, poisson: Any, prestress: Any = 0.0, residual_strength: Any = 0.0) -> Float[np.ndarray, "..."]:
     """Smallest b at which contact 0 breaks again before the front stops.
 
     b is the areal shear stiffness of the interface times H over the shear modulus (`Slider.b`). Beyond the onset the event is
@@ -202,8 +206,8 @@ def rebreaking_onset(height: Any, poisson: Any, prestress: Any = 0.0) -> Float[n
 
     Parameters
     ----------
-    height, poisson, prestress : array_like
-        H/λc, ν and φ, which broadcast.
+    height, poisson, prestress, residual_strength : array_like
+        H/λc, ν, φ and r, which broadcast.
 
     Returns
     -------
@@ -218,9 +222,10 @@ def rebreaking_onset(height: Any, poisson: Any, prestress: Any = 0.0) -> Float[n
     """
     from scipy.optimize.elementwise import find_root  # here, because it adds a third to the import of all that ℓ needs
 
-    for name, domain, value in (("height", HEIGHT, height), ("poisson", POISSON, poisson), ("prestress", PRESTRESS, prestress)):
+    for name, domain, value in (("height", HEIGHT, height), ("poisson", POISSON, poisson)):
         domain.check(f"rebreaking_onset: {name}", value)
-    height, poisson, prestress = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (height, poisson, prestress)))
+    equivalent = Interface(prestress, 0.0, residual_strength).equivalent_prestress
+    height, poisson, prestress = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (height, poisson, equivalent)))
 
     def overload(b: Float[np.ndarray, "*n"], *given: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         """Excess on contact 0, in σ_s; −1 where it cannot break again."""

@@ -12,7 +12,9 @@ so that ceil(ℓ*) contacts break. It shares no step but the modes with the ℓ 
 check, and costs the same whatever Λ: the fast way for very tall sliders. It has derivatives of every order, in every mode.
 
 Nothing like it is in the paper. The prestress φ and the threshold slope ε are those of its Discussion: φ = σ_0/σ_s on every
-contact, released when it breaks and borne anew by its successor, and σ_s(i) = σ_s0 (1 + ε i).
+contact, released when it breaks and borne anew by its successor, and σ_s(i) = σ_s0 (1 + ε i). On level thresholds contacts that
+repin with the stress r follow from those that repin with none: (t − r)/(1 − r) is their stress under the prestress
+(φ − r)/(1 − r), and loads and displacements are over 1 − r (`Interface.equivalent_prestress`).
 """
 
 from functools import partial
@@ -21,17 +23,19 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 from jaxtyping import ArrayLike as AnyArrayLike
 
-from slippulse_jax.base.domains import check_domain
+from slippulse_jax.base.domains import THRESHOLD_SLOPE, check_domain
+from slippulse_jax.base.shown import short
 from slippulse_jax.base.status import Outcome
 from slippulse_jax.bodies.modes import lattice_modes
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.bulk.derivatives import by_forward_mode
 from slippulse_jax.exact import crack, double_series
 from slippulse_jax.exact.crossing import excess, first_crossing, length_of, series_of
-from slippulse_jax.interface import Interface
+from slippulse_jax.interface import Interface, kept_share
 from slippulse_jax.rules import CrackLike
 from slippulse_jax.slider import Fields, Slider, broadcast, check_endless, of_one_type
 
@@ -55,9 +59,9 @@ def exact_length(slider: Slider, interface: Interface | None = None, *, rule: Cr
     slider : Slider
         Fields of any shapes that broadcast.
     interface : Interface, optional
-        Uniform prestress φ and threshold slope ε, which broadcast with `slider`; relaxed and level by default. With ε < 0 the
-        thresholds vanish at i = 1/|ε|: the length is then that of the front that starts at contact 0, for chains that end
-        before. The closed form has no `Profile`.
+        Uniform prestress φ, threshold slope ε and residual strength r, which broadcast with `slider`; relaxed and level by
+        default. With ε < 0 the thresholds vanish at i = 1/|ε|: the length is then that of the front that starts at contact 0,
+        for chains that end before. The closed form has no `Profile`, and no slope beside a residual strength.
     rule : CrackLike, optional
         Length of the quasi-static crack-like front instead, behind which contacts slide at constant friction, on thresholds
         that are level; its friction broadcasts too (`slippulse_jax.exact.crack`).
@@ -72,8 +76,9 @@ def exact_length(slider: Slider, interface: Interface | None = None, *, rule: Cr
     Raises
     ------
     TypeError, ValueError
-        If `interface` is a `Profile`: use `precursor_length` or `first_precursor`. If a crack-like
-        front is to meet thresholds with a slope, or its friction lies outside [0, 1).
+        If `interface` is a `Profile`, or has a slope and a residual strength: use `precursor_length` or `first_precursor`. If a
+        crack-like front is to meet thresholds with a slope, or contacts with a residual strength, or its friction lies outside
+        [0, 1).
 
     Notes
     -----
@@ -85,6 +90,8 @@ def exact_length(slider: Slider, interface: Interface | None = None, *, rule: Cr
     if rule is None:
         return _each(_length, *broadcast(slider, *_contacts(interface)))
     prestress, threshold_slope = uniform(interface)
+    if interface is not None and interface.residual_strength is not None:
+        raise ValueError("rule = CrackLike(…): its contacts carry their friction; leave Interface.residual_strength out")
     if not _is_zero(threshold_slope):
         raise ValueError("a crack-like front has a closed form on level thresholds only: interface.threshold_slope must be 0")
     requirement = "must be 0 or more and below the threshold of 1"
@@ -108,7 +115,8 @@ def exact_front(slider: Slider, interface: Interface | None = None) -> ExactFron
     status is then `REBREAK`, as in `first_precursor`, and ℓ* the length of the front, not of the event.
     """
     check_endless("exact_front", slider)
-    return ExactFront(*_each(_front, *broadcast(slider, *_contacts(interface))))
+    found, lost = ExactFront(*_each(_front, *broadcast(slider, *_contacts(interface)))), 1 - jnp.asarray(kept_share(interface))
+    return found._replace(load=lost * found.load)
 
 
 def exact_front_stress(slider: Slider, s: AnyArrayLike, interface: Interface | None = None) -> Float[Array, "..."]:
@@ -133,7 +141,8 @@ def exact_front_stress(slider: Slider, s: AnyArrayLike, interface: Interface | N
     """
     check_endless("exact_front_stress", slider)
     check_domain("s", s, lambda x: x >= 0, "must be a front position, ≥ 0, in λc")
-    return _each(_stress, *of_one_type(slider, *_contacts(interface), s))
+    kept = jnp.asarray(kept_share(interface))
+    return kept + (1 - kept) * _each(_stress, *of_one_type(slider, *_contacts(interface), s))
 
 
 def _stress(*arguments: Array) -> Array:
@@ -170,7 +179,9 @@ def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, interface:
     check_endless("exact_fields", slider)
     for name, value in (("s", s), ("site", site)):
         check_domain(name, value, lambda x: (x >= 0) & (x == np.round(x)), "must be a whole number of contacts, ≥ 0")
-    return Fields(*_each(_fields, *of_one_type(slider, *_contacts(interface), s, site)))
+    found = Fields(*_each(_fields, *of_one_type(slider, *_contacts(interface), s, site)))
+    kept = jnp.asarray(kept_share(interface))
+    return Fields(*((1 - kept) * x for x in found[:2]), stress=kept + (1 - kept) * found.stress)
 
 
 def _fields(*arguments: Array) -> tuple[Array, Array, Array]:
@@ -188,7 +199,8 @@ def _fields(*arguments: Array) -> tuple[Array, Array, Array]:
 def uniform(interface: Interface | None) -> tuple[AnyArrayLike, AnyArrayLike]:
     """Return prestress and threshold slope of a uniform interface.
 
-    A TypeError, if it is a profile, names the function to use instead.
+    Of contacts that keep something, the prestress of those that keep nothing and whose front runs as far. A TypeError, if it is
+    a profile, and a ValueError, if it has a slope too, name the function to use instead.
     """
     if interface is None:
         return 0.0, 0.0
@@ -197,7 +209,16 @@ def uniform(interface: Interface | None) -> tuple[AnyArrayLike, AnyArrayLike]:
             f"interface = {type(interface).__name__}(…): the closed form holds for an Interface, whose prestress is uniform; "
             "use precursor_length or first_precursor"
         )
-    return interface.prestress, interface.threshold_slope
+    slope = interface.threshold_slope
+    if interface.residual_strength is None:
+        return interface.prestress, slope
+    if isinstance(slope, Tracer) or np.any(np.asarray(slope) != 0):
+        raise ValueError(
+            f"Interface.threshold_slope = {short(slope)} beside residual_strength: the closed form has one of the two; "
+            "use precursor_length or first_precursor"
+        )
+    inside, prestress = interface.in_domain(), interface.equivalent_prestress
+    return (jnp.where(inside, prestress, jnp.nan) if isinstance(inside, Tracer) else prestress), 0.0
 
 
 def _contacts(interface: Interface | None) -> tuple[AnyArrayLike, ...]:
@@ -250,7 +271,9 @@ def crossing_of(theta: Float[Array, " n"], *, rebreaks: bool = False) -> tuple[A
     def crossed(theta: Array) -> tuple[Array, Array]:
         found = series_of(theta)
         length, status = first_crossing(found, theta)
-        valid = Slider(theta[0], theta[1], theta[2]).in_domain() & Interface(*theta[3:]).in_domain()
+        valid = Slider(theta[0], theta[1], theta[2]).in_domain()
+        if len(theta) > 3:
+            valid = valid & (theta[3] < 1) & THRESHOLD_SLOPE.holds(theta[4])
         status = jnp.where(valid, status, Outcome.INVALID)
         length = length_of(length, status)
         if rebreaks:

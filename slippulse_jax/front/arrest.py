@@ -86,7 +86,7 @@ def arrest(
         through=through,
         endless=at.position.astype(end.dtype) >= end,
     )
-    return Arrest(at.position, length_or_reason(status, length), status, at.edge[0])
+    return Arrest(at.position, length_or_reason(status, length), status, at.edge[0] + front.kept_at(interface, 0 * at.edge[0]))
 
 
 @partial(jax.jit, static_argnames="name")

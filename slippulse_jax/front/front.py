@@ -12,6 +12,9 @@ S_m = Σ_{j<s} r_m^{s−j} t(j) and T_n = Σ_{j<s} e_n(j) r_n^j t(j). Only the n
 
     Z_m → r_m [Z_m + v_m t],    v_m = w_m + Σ_n Q_mn e_n(s),    Q_mn = r_m^s R_mn r_n^s → r_m r_n Q_mn.
 
+Where contacts repin with the stress r θ, these are the equations of what they can lose, t − r θ, whose threshold is (1 − r) θ
+and whose prestress is φ − r θ (`contact_at`). What is released, and with it every load and displacement, stays as it is.
+
 Under the paper's rule the front goes on while t(s) ≥ θ_s, and Λ = s0 λc, where s0 is the first s with t(s) < θ_s. ℓ, the length
 without steps, ends where a polynomial through the overloads t − θ of the last contacts reached falls to zero (`end_of_front`).
 
@@ -23,8 +26,8 @@ contacts its length is
 
 where the first term is the step from contact 0 to its neighbour.
 
-Run-away. Far from the edge every contact behind the front gave up the same stress t, and t = φ + t Σ_{j≥1} G_0j with
-Σ_j G_0j = 1 over the endless lattice, so t → 2φ/(1 + G_00): it stays above a uniform threshold of 1 if and only if
+Run-away, of r = 0. Far from the edge every contact behind the front gave up the same stress t, and t = φ + t Σ_{j≥1} G_0j
+with Σ_j G_0j = 1 over the endless lattice, so t → 2φ/(1 + G_00): it stays above a uniform threshold of 1 if and only if
 φ ≥ φ_c = (1 + G_00)/2. Below φ_c (or with rising thresholds) every front stops. Above it the front never stops, unless it
 stops on its way to that state: far from the edge t approaches its limit as ρ_2^s, and on a soft, short slider it does so from
 below. So only for φ ≥ φ_c, uniform, the recursion is cut off where that approach is over to rounding; on a profile, as long
@@ -236,11 +239,19 @@ def echo_at(modes: Modes, site: Array) -> Array | None:
 
 
 def contact_at(modes: Modes, contacts: AnyInterface, site: Any) -> tuple[Array, Array]:
-    """θ and φ of a contact, in σ_s."""
+    """θ and φ of a contact, less what it keeps, in σ_s."""
     site = jnp.asarray(site).astype(modes.gap.dtype)
     if contacts is None:
         return jnp.ones_like(site), jnp.zeros_like(site)
-    return contacts.threshold_at(site).astype(site.dtype), contacts.prestress_at(site).astype(site.dtype)
+    kept, own = kept_at(contacts, site), (contacts.threshold_at(site), contacts.prestress_at(site))
+    return (own[0] - kept).astype(site.dtype), (own[1] - kept).astype(site.dtype)
+
+
+def kept_at(contacts: AnyInterface, site: Array) -> Array | float:
+    """Stress r θ with which a contact repins, in σ_s."""
+    if contacts is None or contacts.residual_strength is None:
+        return 0.0
+    return jnp.asarray(contacts.residual_strength) * contacts.threshold_at(site)
 
 
 def passage(
@@ -316,7 +327,9 @@ def length_of_run(rule: BreakRule | None, stress: Float[Array, " n"], threshold:
 
 
 @in_full
-def slip_and_stress(slider: Slider, prestress: Array, position: Array, count: int) -> tuple[Array, Array]:
+def slip_and_stress(
+    slider: Slider, prestress: Array, position: Array, count: int, residual_strength: Any = 0.0
+) -> tuple[Array, Array]:
     r"""Slip, in u_s, and contact stress, in σ_s, behind a front.
 
     At the first `count` contacts after a front that stopped at `position`: how far the interfacial layer moved while the front
@@ -327,13 +340,14 @@ def slip_and_stress(slider: Slider, prestress: Array, position: Array, count: in
         stress(i) = φ + A Σ_m C_m r_m^i + slip(i) − p_i,      A = 1 − φ.
 
     `position` is at most `count`; of the last contact a part f may be broken, f²(3 − 2f) of it, so that fields change smoothly
-    from one whole number to the next. Contact i lies at x = i λc; beyond a free end the fields have no meaning.
+    from one whole number to the next. Contact i lies at x = i λc; beyond a free end the fields have no meaning. Contacts of a
+    `residual_strength` r release what they carry beyond r.
     """
     modes, site = lattice_modes(slider), jnp.arange(count, dtype=position.dtype)
     part = jnp.clip(position - site, 0, 1)
     broken = part**2 * (3 - 2 * part)
-    loaded = jnp.ones_like(modes.load)  # contact 0 carries its threshold
-    moved = broken * run_over(modes, loaded, prestress + 0 * site, lambda _, broken: broken, broken)
+    loaded = jnp.ones_like(modes.load) - residual_strength  # contact 0 carries its threshold
+    moved = broken * run_over(modes, loaded, prestress - residual_strength + 0 * site, lambda _, broken: broken, broken)
     slip = equilibrium_fields(modes, jnp.zeros_like(modes.load), moved).layer
     driven = (1 - prestress) * jax.vmap(modes.profile)(site) @ modes.drive
     return slip, prestress + driven + slip - moved
@@ -342,8 +356,9 @@ def slip_and_stress(slider: Slider, prestress: Array, position: Array, count: in
 @partial(jax.jit, static_argnames="count")
 def front_stress(modes: Modes, count: int, contacts: AnyInterface = None) -> Float[Array, " count"]:
     """t(0) … t(count − 1) under the paper's rule."""
-    threshold, prestress = contact_at(modes, contacts, jnp.arange(count))
-    return run_over(modes, threshold[0], prestress)
+    site = jnp.arange(count)
+    threshold, prestress = contact_at(modes, contacts, site)
+    return run_over(modes, threshold[0], prestress) + kept_at(contacts, site)
 
 
 @partial(jax.jit, static_argnames="sites")
@@ -356,7 +371,8 @@ def front_fields(slider: Slider, interface: AnyInterface = None, *, position: An
     modes, site = lattice_modes(slider), jnp.arange(sites)
     threshold, prestress = contact_at(modes, interface, site)
     pinning = jnp.where(site < position, run_over(modes, threshold[0], prestress), 0)
-    return equilibrium_fields(modes, modes.load * (threshold[0] - prestress[0]), pinning, prestress)
+    load, prestress = modes.load * (threshold[0] - prestress[0]), prestress + kept_at(interface, site)
+    return equilibrium_fields(modes, load, pinning, prestress)
 
 
 # --- run-away ----------------------------------------------------------------------------------------------------------
@@ -385,11 +401,10 @@ def never_stops_after(modes: Modes, contacts: AnyInterface, rule: BreakRule | No
     if contacts is None:
         return jnp.full_like(modes.load, jnp.inf)
     if isinstance(contacts, Interface):
-        uniform, since, threshold = jnp.asarray(contacts.threshold_slope) == 0, 0, jnp.ones_like(modes.load)
-        prestress = jnp.asarray(contacts.prestress)
+        uniform, since = jnp.asarray(contacts.threshold_slope) == 0, 0
     else:
         uniform, since = jnp.ones((), bool), np.shape(contacts.threshold)[0]
-        threshold, prestress = contact_at(modes, contacts, since - 1)
+    threshold, prestress = contact_at(modes, contacts, max(since - 1, 0))
     settled = since + APPROACH / slowest_approach(modes) + 10
     part = fraction_broken(rule, prestress / runaway_prestress(modes), threshold)
     endless = uniform & (part > rounding(part)) if modes.echo is None else jnp.zeros((), bool)

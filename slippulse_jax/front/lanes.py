@@ -59,7 +59,9 @@ class Lane(NamedTuple):
     gap: Pair  # 1 − r_m
     weight: Pair  # w_m
     limit: Number  # breaks after which the front is followed no further
-    contacts: Pair | None = None  # φ, in σ_s, and ε, of a threshold 1 + ε s; None on a relaxed, uniform interface
+    # φ, in σ_s, and ε, of a threshold 1 + ε s; None on a relaxed, uniform interface. Of contacts that keep a share r of their
+    # strength, as of r = 0: (φ − r)/(1 − r), and its slope −r ε/(1 − r)
+    contacts: tuple[Number, Number, Number | None] | None = None
     end: tuple[Pair, Pair, Number] | None = None  # η_m, 2 ln r_m, and N − 1; None of a semi-infinite chain
 
 
@@ -78,7 +80,9 @@ LaneAndFront = tuple[Lane, State]
 
 @functools.cache
 def length_kernel(most: int, right: RightEnd = "semi-infinite") -> Kernel:
-    """ℓ of lanes (height, stiffness, poisson[, prestress, threshold_slope[, sites, machine]]), in λc.
+    """ℓ of lanes, in λc.
+
+    They are (height, stiffness, poisson[, prestress, threshold_slope[, residual_strength][, sites, machine]]).
 
     Of uniform interfaces. inf where a front never stops or runs through, NaN where it is given up after
     `most` breaks.
@@ -105,7 +109,8 @@ def arrest_kernel(most: int) -> Kernel:
         length, (lane, front) = _length(arrested, end, _once(_crossing, arrested)), arrested
         broken, (_, excess), (_, _, edge) = front.position, _stress_and_excess(lane, front), front.edge
         status = outcome(broken, excess >= 0, edge - 1, valid=jnp.isfinite(excess), endless=jnp.isposinf(length))
-        return broken.astype(jnp.int32), length, status, edge
+        kept = _by_name(parameters).get("residual_strength")
+        return broken.astype(jnp.int32), length, status, edge if kept is None else kept + (1 - kept) * edge
 
     return arrests
 
@@ -133,8 +138,8 @@ def gradient_kernel(most: int) -> Kernel:
 def jet_kernel(most: int, right: RightEnd = "semi-infinite") -> Kernel:
     """ℓ of lanes, and its first and second derivative along a line.
 
-    A lane is the logarithms of H/λc and k/K, and ν[, φ, ε[, and the logarithms of N and M/K]]; then the direction of the line,
-    in as many numbers. NaN where a front is given up; derivatives are 0 where there is none.
+    A lane is the logarithms of H/λc and k/K, and ν[, φ, ε[, r][, and the logarithms of N and M/K]]; then the direction of the
+    line, in as many numbers. NaN where a front is given up; derivatives are 0 where there is none.
     """
 
     def begun(given: tuple[Number, ...]) -> LaneAndFront:
@@ -151,21 +156,29 @@ def jet_kernel(most: int, right: RightEnd = "semi-infinite") -> Kernel:
     return jets
 
 
+def _by_name(numbers: Any) -> dict[str, Number]:
+    """Numbers of a lane after the first three."""
+    names = ("prestress", "threshold_slope", *["residual_strength"] * (len(numbers) % 2 == 0), "sites", "machine")
+    return dict(zip(names, numbers[3:], strict=False))
+
+
 def _plain(numbers: Any) -> list[Number]:
     """Lane parameters from those whose positive ones are logarithms."""
-    return [x if 2 <= i < 5 else jnp.exp(x) for i, x in enumerate(numbers)]
+    logs = {0, 1, *(i for i, name in enumerate(_by_name(numbers), 3) if name in ("sites", "machine"))}
+    return [jnp.exp(x) if i in logs else x for i, x in enumerate(numbers)]
 
 
 def _given(parameters: Float[Array, "fields lanes"], most: int) -> tuple[tuple[Number, ...], Number]:
     """`Lane.limit` and the parameters; and breaks after which a front never stops."""
-    end = jnp.full_like(parameters[0], jnp.inf)
-    if len(parameters) > 3:
+    end, more = jnp.full_like(parameters[0], jnp.inf), _by_name(parameters)
+    if more:
         with jax.numpy_rank_promotion("allow"):  # lanes are last in every array
             modes = lattice_modes(Slider(parameters[0], parameters[1], parameters[2]))
-            end = never_stops_after(modes, Interface(parameters[3], parameters[4]))
-    if len(parameters) > 5:
+            kept = more.get("residual_strength")
+            end = never_stops_after(modes, Interface(more["prestress"], more["threshold_slope"], kept))
+    if "sites" in more:
         # a front that would stop nowhere on an endless chain may yet stop at the end of a short one
-        contacts = jnp.ceil(parameters[5] - 0.5)
+        contacts = jnp.ceil(more["sites"] - 0.5)
         end = jnp.where(contacts < FAR_END, contacts, end)
     return (jnp.minimum(end, most), *parameters), end
 
@@ -234,13 +247,20 @@ def _rows(length: Float[Array, " lanes"], slopes: list[Any], flat: Any) -> Float
 
 def _begun(given: tuple[Number, ...], right: RightEnd = "semi-infinite", with_edge: bool = False) -> LaneAndFront:
     """A lane, and its front after contact 0 broke at its threshold."""
-    limit, height, stiffness, poisson, *more = given
-    prestress, slope, sites, machine = (*more, *[None] * 4)[:4]
+    limit, height, stiffness, poisson = given[:4]
+    names = "prestress", "threshold_slope", "residual_strength", "sites", "machine"
+    prestress, slope, kept, sites, machine = map(_by_name(given[1:]).get, names)
     modes = mode_numbers(height, stiffness, poisson, None if sites is None else (right, sites), machine)
     lane = Lane(modes["gap"], modes["weight"], limit)
     (w1, w2), (c1, c2), ((r11, r12), (_, r22)) = lane.weight, modes["drive"], modes["reflection"]
-    if prestress is not None:
-        lane, c1, c2 = lane._replace(contacts=(prestress, slope)), c1 * (1 - prestress), c2 * (1 - prestress)
+    if prestress is not None and slope is not None:
+        tilt, still = None, 0.0
+        if kept is not None:
+            loose = inverse(1 - kept)
+            prestress, tilt = (prestress - kept) * loose, -kept * slope * loose
+            still = 0 * tilt  # later stresses move with the slope: their tangents are there from the start
+        lane, start = lane._replace(contacts=(prestress, slope, tilt)), 1 - prestress + still
+        c1, c2 = c1 * start, c2 * start
     if sites is not None:
         g1, g2 = lane.gap
         lane = lane._replace(end=(modes["echo"], (2 * jnp.log1p(-g1), 2 * jnp.log1p(-g2)), modes["last"]))
@@ -277,8 +297,8 @@ def _contact(lane: Lane, position: Number) -> tuple[Any, Any]:
     """θ and φ of a contact, in σ_s."""
     if lane.contacts is None:
         return 1.0, 0.0
-    prestress, slope = lane.contacts
-    return 1 + slope * position, prestress
+    prestress, slope, tilt = lane.contacts
+    return 1 + slope * position, prestress if tilt is None else prestress + tilt * position
 
 
 def _echo(lane: Lane, position: Number) -> tuple[Any, Any]:

@@ -13,8 +13,8 @@ from jaxtyping import Array, Float
 
 from slippulse_jax.base.domains import check_kind, check_single, check_whole
 from slippulse_jax.bodies.modes import lattice_modes
-from slippulse_jax.front.front import contact_at, length_of_run, run_over
-from slippulse_jax.interface import AnyInterface, Interface, Profile
+from slippulse_jax.front.front import contact_at, kept_at, length_of_run, run_over
+from slippulse_jax.interface import AnyInterface, Interface, Profile, kept_share
 from slippulse_jax.rules import BreakRule, check_rule
 from slippulse_jax.slider import Slider, check_endless
 
@@ -72,18 +72,20 @@ def sensitivity(
 
 @partial(jax.jit, static_argnames="sites")
 def _worked_out(slider: Slider, interface: AnyInterface, sites: int, rule: BreakRule | None) -> Sensitivity:
-    modes, site = lattice_modes(slider), jnp.arange(sites)
+    modes, site, share = lattice_modes(slider), jnp.arange(sites), kept_share(interface)
 
     def part(stress: Array, threshold: Array, site: Array) -> Array:
         # contact 0 breaks as a whole, and under the paper's rule those past the arrest too, which no length depends on
         return jnp.ones_like(stress) if rule is None else jnp.where(site == 0, 1, rule.broken(stress, threshold))
 
     def length(theta: Array, phi: Array) -> tuple[Array, tuple[Array, Array]]:
-        stress = run_over(modes, theta[0], phi, part, theta, site)
-        length, complete = length_of_run(rule, stress, theta)
-        return length, (stress, complete)
+        kept = share * theta
+        stress = run_over(modes, theta[0] - kept[0], phi - kept, part, theta - kept, site)
+        length, complete = length_of_run(rule, stress, theta - kept)
+        return length, (stress + kept, complete)
 
-    theta, phi = (jnp.broadcast_to(x, (sites,)) for x in contact_at(modes, interface, site))
+    kept = kept_at(interface, site)
+    theta, phi = (jnp.broadcast_to(x + kept, (sites,)) for x in contact_at(modes, interface, site))
     (found, (stress, complete)), slopes = jax.value_and_grad(length, (0, 1), has_aux=True)(theta, phi)
     known = [jnp.where(complete, x, jnp.nan) for x in (found, *slopes)]
     return Sensitivity(known[0], stress, known[1], known[2], complete)

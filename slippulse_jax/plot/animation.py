@@ -11,6 +11,7 @@ import numpy as np
 from slippulse_jax.base.files import write_atomically
 from slippulse_jax.events.first import FirstPrecursor
 from slippulse_jax.front.front import front_fields
+from slippulse_jax.interface import AnyInterface, Interface, kept_share
 from slippulse_jax.plot import style
 from slippulse_jax.plot.blocks import Frames, draw_block, frames_of
 from slippulse_jax.plot.labels import DISTANCE, axis_label
@@ -19,8 +20,6 @@ from slippulse_jax.slider import Fields, Slider
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
     from matplotlib.axes import Axes
-    from matplotlib.lines import Line2D
-    from matplotlib.text import Text
 
 SUFFIXES = (".gif", ".mp4", ".html")
 
@@ -91,7 +90,7 @@ def animate(
             figure, panels = plt.subplots(2, 1, sharex=True)
             shown = min(recorded, max(2 * broken, 16) if sites is None else sites)
             at = jax.vmap(lambda s: front_fields(precursor.body, precursor.interface, position=s, sites=recorded))
-            draw = _scene(panels, at(jnp.asarray(positions)), positions, shown)
+            draw = _scene(panels, at(jnp.asarray(positions)), positions, shown, precursor.interface)
         still = [len(positions) - 1] * round(hold * fps)
         movie = animation.FuncAnimation(figure, draw, frames=[*range(len(positions)), *still], interval=1000 / fps)
         draw(0)
@@ -104,23 +103,23 @@ def animate(
     return movie
 
 
-def _scene(panels: Any, fields: Fields, positions: np.ndarray, shown: int) -> Any:
+def _scene(panels: Any, fields: Fields, positions: np.ndarray, shown: int, interface: AnyInterface) -> Any:
     """Draw the first frame; return the function that draws any other."""
     above, below = panels
     c = style.colours(above)
     x = np.arange(shown)
     upper, layer = (np.asarray(y)[:, :shown] for y in (fields.upper, fields.layer))
     stress = np.asarray(fields.stress)[:, :shown]
+    threshold = np.asarray((interface or Interface()).threshold_at(jnp.asarray(x)))
     above.plot(x, upper[0], ":", color=c.blue, lw=1)
     above.plot(x, layer[0], ":", color=c.vermilion, lw=1)
-    carried, _, words = _contact_stress(below, x, stress, np.ones_like(stress))
+    carried, levels, words = _contact_stress(below, x, stress, threshold[None], kept_share(interface))
     (on_top,) = above.plot(x, upper[0], color=c.blue, label="upper layer $u_t$")
     (in_layer,) = above.plot(x, layer[0], color=c.vermilion, label="interfacial layer $u$")
     fronts = [ax.axvline(0, color=c.green, lw=1, ls="--", label="front") for ax in (above, below)]
     above.set(ylabel=axis_label("displacement", "u_s"), ylim=(0, 1.08 * upper.max()), xlim=(-0.5, shown - 0.5))
-    below.set_ylim(0, 1.15 * max(stress.max(), 1))
+    below.set_ylim(0, 1.15 * max(stress.max(), threshold.max()))
     above.legend(loc="upper right")
-    below.legend(handles=below.lines[:2], loc="center right")
 
     def frame(number: int) -> list[Any]:
         on_top.set_ydata(upper[number])
@@ -140,28 +139,31 @@ def _scene_of_block(panels: Any, frames: Frames) -> Any:
     mesh = draw_block(above, frames, 0)
     above.figure.colorbar(mesh, ax=above, label=r"$\sigma_{xy}/\sigma_s$", extend="both", location="top", aspect=40)
     x, stress, threshold = np.arange(frames.shown) + 0.5, frames.contact[:, : frames.shown], frames.threshold[:, : frames.shown]
-    carried, holds, words = _contact_stress(below, x, stress, threshold)
+    kept = kept_share(frames.found.interface)
+    carried, levels, words = _contact_stress(below, x, stress, threshold, kept)
     below.set_ylim(min(0, 1.1 * stress.min()), 1.15 * max(stress.max(), threshold[:, -1].max(), 1))
-    below.legend(handles=below.lines[:2], loc="lower right")
 
     def frame(number: int) -> list[Any]:
         mesh.set_array(frames.shear[number, : frames.shown].T)
         carried.set_ydata(stress[number])
-        holds.set_ydata(threshold[number])
+        for line, share in zip(levels, (1, kept), strict=False):
+            line.set_ydata(share * threshold[number])
         words.set_text(f"breaks: {frames.breaks[number]}{_at_end(number, frames.breaks)}")
-        return [mesh, carried, holds, words]
+        return [mesh, carried, *levels, words]
 
     return frame
 
 
-def _contact_stress(below: "Axes", x: np.ndarray, stress: np.ndarray, threshold: np.ndarray) -> "tuple[Line2D, Line2D, Text]":
-    """Draw stress and threshold; return what changes between frames."""
+def _contact_stress(below: "Axes", x: np.ndarray, stress: np.ndarray, threshold: np.ndarray, kept: Any) -> tuple[Any, ...]:
+    """Draw stress and levels; return what changes between frames."""
     c = style.colours(below)
     below.plot(x, stress[0], ":", color=c.ink, lw=1, label="at nucleation")
-    (holds,) = below.plot(x, threshold[0], color=c.grey, lw=0.8, label="threshold")
+    levels = below.plot(x, threshold[0], color=c.grey, lw=0.8, label="threshold")
+    levels += style.draw_kept(below, x, kept * threshold[0])
     (carried,) = below.plot(x, stress[0], color=c.ink)
+    below.legend(**style.ABOVE, ncols=3)
     below.set(xlabel=DISTANCE, ylabel=axis_label("stress", "σ_s"))
-    return carried, holds, below.text(0.98, 0.93, "", transform=below.transAxes, ha="right", va="top")
+    return carried, levels, below.text(0.98, 0.93, "", transform=below.transAxes, ha="right", va="top")
 
 
 def _at_end(number: int, frames: np.ndarray) -> str:

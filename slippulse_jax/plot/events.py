@@ -14,7 +14,7 @@ from slippulse_jax.events.rupture import Rupture
 from slippulse_jax.front.sensitivity import Sensitivity
 from slippulse_jax.interface import Interface, Profile
 from slippulse_jax.plot.labels import DISTANCE, EXTENT, as_written, axis_label
-from slippulse_jax.plot.style import axes, colours, drawn, legend_above
+from slippulse_jax.plot.style import axes, colours, draw_kept, drawn, legend_above
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -76,7 +76,7 @@ def stress(
 ) -> "Axes":
     """Draw the stress on every contact, in σ_s.
 
-    Thresholds are those of `chain`; stresses `before` a rupture are dashed.
+    Thresholds, and what contacts keep, are those of `chain`; stresses `before` a rupture are dashed.
     """
     ax = axes(ax)
     c = colours(ax)
@@ -85,7 +85,9 @@ def stress(
         ax.plot(np.asarray(before.stress)[shown], "--", color=c.blue, label="before")
     ax.plot(np.asarray(found.stress)[shown], "-", color=c.vermilion, label="after" if before is not None else "stress")
     if chain is not None:
-        ax.plot(np.asarray(chain.threshold)[shown], ":", color=c.grey, label="threshold")
+        threshold = np.asarray(chain.threshold)[shown]
+        ax.plot(threshold, ":", color=c.grey, label="threshold")
+        draw_kept(ax, np.arange(threshold.size), float(chain.residual_strength) * threshold)
     ax.set(xlabel=DISTANCE, ylabel=axis_label("stress", "σ_s"))
     legend_above(ax)
     return ax
@@ -93,17 +95,23 @@ def stress(
 
 @drawn
 def front_stress(
-    stress: np.ndarray, *, length: float | None = None, threshold: float = 1.0, ax: "Axes | None" = None
+    stress: np.ndarray,
+    *,
+    length: float | None = None,
+    threshold: float = 1.0,
+    residual_strength: float = 0.0,
+    ax: "Axes | None" = None,
 ) -> "Axes":
     """Draw the stress on each contact as the front reaches it.
 
-    A line marks the length ℓ, where the stress falls below threshold.
+    A line marks the length ℓ, where the stress falls below threshold; a thin one what contacts keep as they break.
     """
     ax = axes(ax)
     c = colours(ax)
     stress = np.asarray(stress)
     ax.plot(stress, "o-", color=c.blue, markersize=3, linewidth=1, label="front")
     ax.axhline(threshold, color=c.grey, linestyle=":", label="threshold")
+    draw_kept(ax, np.arange(stress.size), np.full(stress.shape, residual_strength * threshold))
     if length is not None and np.isfinite(length):
         ax.axvline(length, color=c.vermilion, linestyle="--", label=f"$\\ell = {float(length):.2f}\\,\\lambda_c$")
     ax.set(xlabel="contact, $s$ (distance from the trailing edge in $\\lambda_c$)", ylabel=axis_label("front_stress", "σ_s"))

@@ -14,7 +14,7 @@ from slippulse_jax.events.first import FirstPrecursor
 from slippulse_jax.front.front import front_fields
 from slippulse_jax.interface import Interface
 from slippulse_jax.plot import style
-from slippulse_jax.plot.labels import AGAIN, DISTANCE, axis_label
+from slippulse_jax.plot.labels import AGAIN, DISTANCE, KEPT, axis_label
 from slippulse_jax.precursor import first_precursor, precursor_length
 from slippulse_jax.slider import Fields, Slider
 
@@ -28,6 +28,7 @@ STEPS = {
     "+0.01 Poisson": (2, 0.01, False),
     "+0.01 prestress": (3, 0.01, False),
     "+0.001 slope": (4, 0.001, False),
+    "+0.01 residual": (5, 0.01, False),
 }
 """Changes whose effect is shown: parameter, size, and whether it is relative."""
 
@@ -38,7 +39,7 @@ class View(NamedTuple):
     front: FirstPrecursor
     fields: Fields  # with the front at a position
     position: Array
-    slopes: Array  # of the length, in (H/λc, k/K, ν, φ, ε)
+    slopes: Array  # of the length, in (H/λc, k/K, ν, φ, ε, r)
     again: Array  # number of broken contacts at which the edge contact is back at its threshold; −1 where it never is
 
 
@@ -46,11 +47,11 @@ class View(NamedTuple):
 def view(theta: Array, position: Array) -> View:
     """Compute the view of one slider, with the front at a position.
 
-    `theta` is (H/λc, k/K, ν, φ, ε); `position` is a number of broken contacts, or −1 for where the front stops.
+    `theta` is (H/λc, k/K, ν, φ, ε, r); `position` is a number of broken contacts, or −1 for where the front stops.
     """
 
     def model(x: Array) -> tuple[Slider, Interface]:
-        return Slider(x[0], x[1], x[2]), Interface(prestress=x[3], threshold_slope=x[4])
+        return Slider(x[0], x[1], x[2]), Interface(x[3], x[4], x[5])
 
     def length(x: Array) -> Array:
         return precursor_length(*model(x))
@@ -72,8 +73,8 @@ def view(theta: Array, position: Array) -> View:
 def explore(*, dark: bool = False) -> Any:
     """Show fields, length and sensitivities beside sliders for the parameters.
 
-    The sliders set H/λc, k/K, ν, prestress and threshold slope. The play button runs the front from nucleation to arrest. It is
-    for notebooks, and needs the extra ``explore`` (ipywidgets).
+    The sliders set H/λc, k/K, ν, prestress, threshold slope and residual strength. The play button runs the front from
+    nucleation to arrest. It is for notebooks, and needs the extra ``explore`` (ipywidgets).
 
     Parameters
     ----------
@@ -94,7 +95,7 @@ def explore(*, dark: bool = False) -> Any:
         import ipywidgets as widgets
     except ImportError as error:
         raise ImportError("explore needs ipywidgets: pip install 'slippulse_jax[explore]'") from error
-    wide = {"style": {"description_width": "9em"}, "layout": widgets.Layout(width="24em")}
+    wide = {"style": {"description_width": "10em"}, "layout": widgets.Layout(width="24em")}
     number = functools.partial(widgets.FloatSlider, **wide)
     ratio = widgets.FloatLogSlider(value=0.03, min=LOW, max=LOW + 2.5, step=0.02, description="stiffness k/K", **wide)
     parameters = {
@@ -103,6 +104,7 @@ def explore(*, dark: bool = False) -> Any:
         "poisson": number(value=0.3, min=0, max=0.5, step=0.01, description="Poisson ν"),
         "prestress": number(value=0, min=0, max=0.7, step=0.01, description="prestress φ"),
         "slope": number(value=0, min=-0.005, max=0.01, step=0.0005, description="slope ε", readout_format=".4f"),
+        "residual": number(value=0, min=0, max=0.9, step=0.01, description="residual strength r"),
     }
     position = widgets.IntSlider(value=26, min=0, max=26, description="contacts broken", **wide)
     play = widgets.Play(value=0, min=0, max=26, interval=120)
@@ -169,6 +171,7 @@ class Drawing:
             (self.layer,) = self.fields.plot(x, x, color=c.vermilion, label="interfacial layer $u$")
             (self.carried,) = self.stress.plot(x, x, color=c.ink, label="stress")
             (self.held,) = self.stress.plot(x, x, ":", color=c.grey, label="threshold")
+            (self.kept,) = self.stress.plot(x, x, "-.", color=c.grey, lw=0.6, label=KEPT)
             (self.tip,) = self.front.plot(x, x, "o-", ms=2.5, lw=1, color=c.blue, label="front stress")
             (self.limit,) = self.front.plot(x, x, ":", color=c.grey, label="threshold")
             self.arrest = self.front.axvline(0, color=c.vermilion, ls="--", lw=1, label="length, $\\ell$")
@@ -181,7 +184,7 @@ class Drawing:
             self.words = self.slopes.text(0.5, 0.5, "", transform=self.slopes.transAxes, ha="center", va="center")
             for ax, name, unit in ((self.fields, "displacement", "u_s"), (self.stress, "stress", "σ_s")):
                 ax.set(xlabel=DISTANCE, ylabel=axis_label(name, unit))
-                ax.legend(loc="upper right")
+                ax.legend(**style.ABOVE, ncols=4)
             self.front.set(xlabel="contact, $s$ ($x/\\lambda_c$)", ylabel=axis_label("front_stress", "σ_s"))
             self.front.legend(**style.ABOVE, ncols=3)
             self.slopes.set(xlabel="change of the length, $\\lambda_c$")
@@ -194,7 +197,7 @@ class Drawing:
         shown = int(min(SITES, max(20, 1.7 * broken)))
         for line, y in (
             (self.upper, fields.upper), (self.layer, fields.layer), (self.carried, fields.stress), (self.held, threshold),
-            (self.tip, front.front_stress), (self.limit, threshold),
+            (self.tip, front.front_stress), (self.limit, threshold), (self.kept, (theta[5] or np.nan) * threshold),
         ):  # fmt: skip
             line.set_ydata(y)
         for mark in self.marks:

@@ -14,6 +14,7 @@ NAMES = {
     "poisson": ("Poisson's ratio", r"\nu"),
     "prestress": ("prestress", r"\varphi"),
     "threshold_slope": ("threshold gradient", r"\epsilon"),
+    "residual_strength": ("residual strength", "r"),
     "strength": ("strength", r"\sigma_s"),
     "friction": ("friction behind the front", r"\sigma_k"),
     "friction_coefficient": ("friction coefficient", r"\mu"),
@@ -128,6 +129,9 @@ DISTANCE, DISTANCE_MM = axis_label("position", "λc"), axis_label("position", "m
 OVER_LOAD = "force over normal load, $F/F_N$"
 EXTENT = "extent over length, $x/L$"
 """Labels of what is measured of sequences of precursors."""
+
+KEPT = r"kept, $r\theta$"
+"""Legend entry of the stress that contacts keep as they break."""
 
 AGAIN = "edge breaks again"
 """Legend entry where the length is the front's, not the event's."""

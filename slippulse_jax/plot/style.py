@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 import numpy as np
 
 from slippulse_jax.base.files import FIGURE_FORMATS, write_atomically
-from slippulse_jax.plot.labels import AGAIN
+from slippulse_jax.plot.labels import AGAIN, KEPT
 from slippulse_jax.plot.labels import DISTANCE as DISTANCE
 
 if TYPE_CHECKING:
@@ -245,6 +245,11 @@ def dashed_where(ax: Any, x: np.ndarray, y: np.ndarray, again: np.ndarray, **opt
     if again.any():  # starting at the point before, so that the line has no gap
         near = again | np.append(again[1:], False) | np.append(False, again[:-1])
         ax.plot(x, np.where(near, y, np.nan), **options | {"linestyle": "--", "linewidth": 0.8, "label": None})
+
+
+def draw_kept(ax: Any, x: Any, kept: np.ndarray) -> list[Any]:
+    """Draw the stress that contacts keep, if any; return the lines."""
+    return ax.plot(x, kept, "-.", color=colours(ax).grey, linewidth=0.6, label=KEPT) if np.any(kept) else []
 
 
 def handles_of(ax: Any, *, again: bool = False) -> list[Any]:

@@ -32,7 +32,7 @@ def _in_bulk(function: Callable[..., Any]) -> Compute:
     """Evaluate a function of sliders and interface."""
 
     def evaluated(request: Request, columns: Columns) -> Any:
-        interface = Interface(*_fields(columns, *INTERFACE)) if INTERFACE.keys() & columns.keys() else None
+        interface = _interface(columns) if INTERFACE.keys() & columns.keys() else None
         return function(Slider(*_fields(columns, *SLIDER), length=request.sites, right=request.right), interface)
 
     return evaluated
@@ -42,6 +42,11 @@ def _fields(columns: Columns, *names: str) -> list[np.ndarray]:
     """The columns of these parameters, zeros for those not given."""
     zeros = np.zeros(len(columns["height"]))
     return [columns.get(name, zeros) for name in names]
+
+
+def _interface(columns: Columns) -> Interface:
+    prestress, slope = _fields(columns, "prestress", "threshold_slope")
+    return Interface(prestress, slope, columns.get("residual_strength"))
 
 
 @_in_bulk
@@ -63,7 +68,9 @@ def _gradients(slider: Slider, interface: Interface | None) -> Columns:
 
 
 def _exact(_: Request, columns: Columns) -> Columns:
-    length, status = exact_arrests(np.stack(_fields(columns, *SLIDER, "prestress", "threshold_slope")))
+    contacts = _interface(columns)
+    lanes = *_fields(columns, *SLIDER), contacts.equivalent_prestress, contacts.threshold_slope
+    length, status = exact_arrests(np.stack(lanes))
     return {"exact_length": length, "exact_status": status}
 
 
@@ -81,36 +88,35 @@ def _block(request: Request, columns: Columns) -> np.ndarray:
         top=request.top,
         **{name: columns.get(name) for name in PUSH if name != "push_height"},
     )
-    prestress, slope = _fields(columns, "prestress", "threshold_slope")
-    return size.lengths(block, Interface(prestress, slope), "full")
+    return size.lengths(block, _interface(columns), "full")
 
 
-def _formula(formula: Callable[[Slider, Array], Any]) -> Compute:
+def _formula(formula: Callable[..., Any]) -> Compute:
     """Evaluate a formula, whose bits do not depend on the other outputs."""
 
     @functools.cache
     def kernel(right: RightEnd, sites: int | None) -> Kernel:
-        return lambda lanes: (formula(Slider(*lanes[:3], length=sites, right=right), lanes[3]),)
+        return lambda lanes: (formula(Slider(*lanes[:3], length=sites, right=right), *lanes[3:]),)
 
     def evaluated(request: Request, columns: Columns) -> np.ndarray:
-        lanes = _fields(columns, *SLIDER, "prestress")
+        lanes = _fields(columns, *SLIDER, "prestress", *columns.keys() & {"residual_strength"})
         return over_lanes(kernel(request.right, request.sites), lanes, Layout(chunk=512))[0]
 
     return evaluated
 
 
 def _of_slider(formula: Callable[[Slider], Any]) -> Compute:
-    return _formula(lambda slider, _: formula(slider))
+    return _formula(lambda slider, *_: formula(slider))
 
 
-def _load(slider: Slider, prestress: Array) -> Array:
+def _load(slider: Slider, prestress: Array, *_: Array) -> Array:
     # from its prestress to its threshold, which for contact 0 is 1 whatever the gradient of thresholds
     numbers, end = (slider.height, slider.stiffness, slider.poisson), {"length": slider.length, "right": slider.right}
     return (1 - prestress) * jax.vmap(lambda *one: lattice_modes(Slider(*one, **end)).load)(*numbers)
 
 
-def _macroscopic(slider: Slider, prestress: Array) -> Any:
-    return slider.height * theory.macroscopic_length(slider.b, slider.poisson, prestress=prestress)
+def _macroscopic(slider: Slider, prestress: Array, kept: Any = 0.0) -> Any:
+    return slider.height * theory.macroscopic_length(slider.b, slider.poisson, prestress=prestress, residual_strength=kept)
 
 
 def _is_continuous(slider: Slider) -> Any:
@@ -163,6 +169,9 @@ OUTPUTS = {
     "dlength_dthreshold_slope": Output(
         "derivative of length with respect to the threshold gradient", "lambda_c sites/sigma_s", _gradients, _FRONT
     ),
+    "dlength_dresidual_strength": Output(
+        "derivative of length with respect to the residual strength", "lambda_c", _gradients, _FRONT
+    ),
     "exact_length": Output("length by the exact solution, the real crossing t(l*) = threshold", "lambda_c", _exact, _INTERFACE),
     "exact_status": Output("what the exact front stress says", "1", _exact, _INTERFACE, "int8", ARREST_OUTCOMES),
     "block_precursor_length": Output(
@@ -177,12 +186,15 @@ OUTPUTS = {
     "length_continuum": Output("length in the self-consistent continuum", "lambda_c", _of_slider(theory.length_continuum)),
     "length_envelope": Output("length by a closed formula", "lambda_c", _of_slider(theory.envelope_length)),
     "length_macroscopic": Output(
-        "length by the macroscopic law (lambda_c -> 0)", "lambda_c", _formula(_macroscopic), frozenset({"prestress"})
+        "length by the macroscopic law (lambda_c -> 0)",
+        "lambda_c",
+        _formula(_macroscopic),
+        _INTERFACE - {"threshold_slope"},
     ),
     "runaway_prestress": Output(
         "prestress beyond which nothing far from the edge stops a front",
         "sigma_s",
-        _of_slider(theory.runaway_prestress),
+        _formula(lambda slider, _, *kept: theory.runaway_prestress(slider, *kept)),
         _INTERFACE,
     ),
     "b": Output("areal shear stiffness of the interface times H over the shear modulus", "1", _of_slider(attrgetter("b"))),
@@ -246,7 +258,7 @@ def _objection(name: str, given: set[str]) -> str:
         if needed in takes and needed not in given:
             return f"output {name!r} needs {needed}: {PARAMETERS[needed].name}"
     needed = name.removeprefix("dlength_d")
-    if needed in INTERFACE and not given & INTERFACE.keys():
+    if needed in INTERFACE and not given & ({needed} if needed == "residual_strength" else INTERFACE.keys()):
         return f"output {name!r} needs {needed}: give it, 0 for instance"
     ignored = given - takes - {"width", *PUSH}  # each serves one output and does not affect the others
     return f"output {name!r} takes no account of {', '.join(sorted(ignored))}" if ignored else ""

@@ -41,7 +41,8 @@ PARAMETERS: dict[str, Quantity] = {**SLIDER, **INTERFACE, **quantities(SmoothBre
 DOMAINS = {
     "height": ("Slider.", domains.HEIGHT), "stiffness": ("Slider.", domains.STIFFNESS),
     "poisson": ("Slider.", domains.POISSON), "prestress": ("Interface.", domains.PRESTRESS),
-    "threshold_slope": ("Interface.", domains.THRESHOLD_SLOPE), "width": ("SmoothBreak.", WIDTH),
+    "threshold_slope": ("Interface.", domains.THRESHOLD_SLOPE),
+    "residual_strength": ("Interface.", domains.RESIDUAL_STRENGTH), "width": ("SmoothBreak.", WIDTH),
     "push_height": ("", OF_SIDE), "push_width": ("", OF_SIDE), "friction": ("", domains.FRICTION),
     "normal_stiffness": ("", domains.NORMAL_STIFFNESS),
 }  # fmt: skip
@@ -128,7 +129,7 @@ def _with_interface(given: dict[str, Any], interface: Interface | None) -> dict[
     if interface.shape:
         raise ValueError(f"interface has shape {interface.shape}: must be one; give arrays as axes, such as prestress=…")
     numbers = {name: getattr(interface, name) for name in INTERFACE}
-    if twice := [name for name, number in numbers.items() if number != 0 and given[name] is not None]:
+    if twice := [name for name, number in numbers.items() if number and given[name] is not None]:
         raise ValueError(f"{twice[0]} is given twice: in the interface and as an axis")
     return given | {name: number for name, number in numbers.items() if given[name] is None}
 

@@ -50,6 +50,7 @@ def sweep(
     poisson: ArrayLike,
     prestress: ArrayLike | None = None,
     threshold_slope: ArrayLike | None = None,
+    residual_strength: ArrayLike | None = None,
     width: ArrayLike | None = None,
     push_height: ArrayLike | None = None,
     push_width: ArrayLike | None = None,
@@ -77,7 +78,7 @@ def sweep(
     ----------
     height, stiffness, poisson : array_like
         H/λc, k/K and ν: each a number, or a one-dimensional array, which becomes an axis.
-    prestress, threshold_slope : array_like, optional
+    prestress, threshold_slope, residual_strength : array_like, optional
         Parameters of the interface to sweep, likewise; as for `Interface`.
     width : array_like, optional
         Width of the smooth break rule, in σ_s, for the output ``smooth_length``.
@@ -202,7 +203,10 @@ def default_chunk(request: Request, *, tasks: bool) -> int:
 
 def _check_options(request: Request, store: Any, chunk: int | None, share: Any, client: Any, lazy: bool) -> None:
     """Check that outputs, chain, and options of computing go together."""
+    slope, kept = (request.axes.get(name, 0) != 0 for name in ("threshold_slope", "residual_strength"))
     for name in request.outputs:
+        if name in ("exact_length", "exact_status") and np.any(slope & kept):
+            raise ValueError(f"output {name!r} takes threshold_slope or residual_strength, not both: ask for length and status")
         if request.right != "semi-infinite" and "right" not in OUTPUTS[name].takes:
             raise ValueError(f"output {name!r} is for a semi-infinite chain, not right = {request.right!r}")
     if chunk is not None and chunk < 1:

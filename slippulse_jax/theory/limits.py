@@ -4,6 +4,8 @@ Run-away prestress, macroscopic law, edge behind a front, envelope, decay along 
 ``docs/appendix/theory.md``. Lengths in λc unless said otherwise.
 """
 
+import functools
+import operator
 from typing import Any
 
 import jax
@@ -12,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from slippulse_jax.base.domains import POISSON, PRESTRESS, Domain, real_numbers
+from slippulse_jax.base.domains import POISSON, PRESTRESS, RESIDUAL_STRENGTH, Domain, real_numbers
 from slippulse_jax.base.units import as_float
 from slippulse_jax.bulk.compiler import in_full
 from slippulse_jax.bulk.derivatives import root_between
@@ -23,6 +25,7 @@ _DOMAIN = {
     "b": Domain(0, np.inf, "must be positive: areal stiffness times height over shear modulus"),
     "poisson": POISSON,
     "prestress": PRESTRESS,
+    "residual_strength": RESIDUAL_STRENGTH,
 }
 
 NO_CHANGE = -1
@@ -32,16 +35,21 @@ EDGE_TERMS = 16
 """Terms of the edge stress: each is at most λ/2n ≤ 1/4n of the one before, and the first one left out below 1e-20."""
 
 
-@jax.jit
-def runaway_prestress(slider: Slider) -> Float[Array, "..."]:
+def runaway_prestress(slider: Slider, residual_strength: Any = 0.0) -> Float[Array, "..."]:
     """φ_c = (1 + G_00)/2, the prestress from which fronts run away.
 
     With σ_0/σ_s ≥ φ_c the stress far from the edge settles at φ/φ_c ≥ 1, and nothing stops the front. G_00 = Σ_m q
     share_m/(κ_m √(4 + κ_m²)) is the response of an endless lattice to its own pinning point. A soft interface whose domino
     dies beside the edge never reaches that far stress: there φ ≥ φ_c is necessary, not sufficient (`slippulse_jax.exact_front`
-    decides).
+    decides). Contacts that keep a share r of their strength (`residual_strength`, in [0, 1)) run away from r + (1 − r) φ_c on.
     """
+    RESIDUAL_STRENGTH.check("residual_strength", residual_strength)
+    (kept,) = _numbers(residual_strength=residual_strength)
+    return kept + (1 - kept) * _runaway(slider)
 
+
+@jax.jit
+def _runaway(slider: Slider) -> Array:
     def one(slider: Slider) -> Array:
         k = jnp.stack([slider.kappa_1, slider.kappa_2])
         share = jnp.stack([-slider.alpha_1, slider.alpha_2]) * slider.kappa_T**2 / slider.mode_splitting
@@ -61,7 +69,7 @@ def length_ceiling(poisson: Any) -> Float[Array, "..."]:
     return jnp.sqrt(2 * (1 + nu)) * np.log(2)
 
 
-def macroscopic_length(b: Any, poisson: Any, *, prestress: Any = 0.0) -> Float[Array, "..."]:
+def macroscopic_length(b: Any, poisson: Any, *, prestress: Any = 0.0, residual_strength: Any = 0.0) -> Float[Array, "..."]:
     """Λ/H for λc → 0 at fixed b.
 
     Self-consistent in the upper layer.
@@ -73,7 +81,10 @@ def macroscopic_length(b: Any, poisson: Any, *, prestress: Any = 0.0) -> Float[A
     poisson : array_like
         ν.
     prestress : array_like
-        φ = σ_0/σ_s in (−1, 1). inf for φ ≥ ½, the macroscopic run-away threshold.
+        φ = σ_0/σ_s in (−1, 1). inf for φ ≥ ½, the macroscopic run-away threshold; of contacts that keep something, for
+        φ ≥ (1 + r)/2.
+    residual_strength : array_like
+        r in [0, 1), what contacts keep of their strength: the length is that of φ' = (φ − r)/(1 − r).
 
     Raises
     ------
@@ -88,10 +99,13 @@ def macroscopic_length(b: Any, poisson: Any, *, prestress: Any = 0.0) -> Float[A
 
         e^{−p(z)} [1 + φ ∫_0^z e^{p(y)} dy] = (1 + β)/2;     without prestress  p(z) = ln[2/(1 + β)].
     """
-    for (name, domain), value in zip(_DOMAIN.items(), (b, poisson, prestress), strict=True):
-        domain.check(name, value)
-    b, nu, phi = jnp.broadcast_arrays(*_numbers(b=b, poisson=poisson, prestress=prestress))
-    return _macroscopic(b, nu, phi)
+    given = dict(zip(_DOMAIN, (b, poisson, prestress, residual_strength), strict=True))
+    for name, value in given.items():
+        _DOMAIN[name].check(name, value)
+    numbers = _numbers(**given)
+    inside = functools.reduce(operator.and_, (domain.holds(x) for domain, x in zip(_DOMAIN.values(), numbers, strict=True)))
+    b, nu, phi, kept = jnp.broadcast_arrays(*numbers)
+    return _macroscopic(b, nu, jnp.where(inside, (phi - kept) / (1 - kept), jnp.nan))
 
 
 @jax.jit
@@ -111,8 +125,7 @@ def _macroscopic(b: Array, nu: Array, phi: Array) -> Array:
         z = root_between(excess, (beta, released, phi), jnp.zeros_like(b), far)
         # beyond, inf by a function without a finite derivative; before, one that reverse mode can multiply by zero
         z = jnp.where(plateau < 1, z, -jnp.log(jnp.maximum(1 - plateau, 0)))
-        good = [domain.holds(x) for domain, x in zip(_DOMAIN.values(), (b, nu, phi), strict=True)]
-        return z * jnp.sqrt(2 * (1 + nu) / released) * jnp.where(jnp.stack(good).all(), 1, jnp.nan)
+        return z * jnp.sqrt(2 * (1 + nu) / released) * jnp.where(jnp.isnan(phi), jnp.nan, 1)
 
     return jnp.vectorize(one)(b, nu, phi)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import click
+import jax
 import numpy as np
 import pytest
 from chains import ended
@@ -99,6 +100,26 @@ def test_length(in_this_process):
     assert "ℓ   = 25.788815 λc" in done.stdout
     assert "Λ   = 26 λc" in done.stdout
     assert "arrested" in done.stdout
+
+
+@pytest.mark.ci
+def test_length_of_contacts_that_keep_a_share_of_their_strength(in_this_process):
+    """Of a slider and of a block; the load at nucleation is that of contacts that keep nothing."""
+    slider, kept = sp.Slider(25.0, 0.03, 0.3), sp.Interface(residual_strength=0.3)
+    alone, content = (
+        json.loads(in_this_process("length", "--json", *FIG2, *more).stdout) for more in ((), ("--residual-strength", "0.3"))
+    )
+    front = sp.first_precursor(slider, kept)
+    assert (alone["residual_strength"], content["residual_strength"]) == (None, 0.3)
+    assert content["length"] == pytest.approx(float(front.length), abs=1e-10)
+    assert content["edge_stress"] == pytest.approx(float(front.stress[0]), abs=1e-10)
+    assert content["load"] == pytest.approx(alone["load"], rel=1e-13)
+    text = in_this_process("length", *FIG2, "--residual-strength", "0.3", "--push-height", "0.3").stdout
+    with jax.enable_x64(True):
+        of_block = sp.precursor_length(sp.Block(25.0, 0.03, 0.3, sp.Push(0.3)), kept)
+    assert f"ℓ   = {float(of_block):.6g} λc" in text
+    assert f"{float(sp.exact_length(slider, kept)):.6g} λc with the slider" in text
+    assert "ν = 0.3, r = 0.3" in text
 
 
 CACHES = ("HOME", "XDG_CACHE_HOME", "LOCALAPPDATA")
@@ -223,7 +244,7 @@ def test_a_block_without_a_length_says_why(status, code, friction, monkeypatch, 
     """Whatever its outcome; only a block that lifts off is said to lift off."""
     monkeypatch.setattr(size, "resolved", lambda *_, **__: np.nan)
     monkeypatch.setattr(size, "_record", lambda *_: SimpleNamespace(status=status))
-    monkeypatch.setattr(exact_front, "exact_length", lambda _: np.nan)
+    monkeypatch.setattr(exact_front, "exact_length", lambda *_: np.nan)
     done = in_this_process("length", *FIG2, "--push-height", "0.3", *friction)
     assert done.returncode == code
     assert ("none: the block lifts off" in done.stdout) == (status is Outcome.LIFT_OFF)
@@ -294,6 +315,7 @@ def test_fit_as_json_keeps_stdout_clean(tmp_path, in_this_process):
         ),
         (["length", "--height", "1e170", "--stiffness", "0.03", "--poisson", "0.3"], "invalid: a value outside its domain"),
         (["length", *FIG2, "--right", "free"], "needs a length"),
+        (["length", *FIG2, "--residual-strength", "1"], "Interface.residual_strength = 1: must lie in [0, 1)"),
         (["length", *FIG2, "--right", "open"], "'open' is not one of"),
         (["length", *FIG2, "--block-length-mm", "100"], "--block-length-mm belongs to the SI form of the slider"),
         (["length", *FIG2, "--block-length-mm", "100", "--sites", "9"], "--sites and --block-length-mm both say where"),

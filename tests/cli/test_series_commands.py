@@ -87,9 +87,25 @@ def test_a_series_that_spans_has_no_length_in_json():
     assert content["extent"][-1] == 40
 
 
+@pytest.mark.ci
+def test_contacts_that_keep_a_share_of_their_strength(catalogue):
+    done = run(series_command, *SMALL, "--residual-strength", "0.4", "--json")
+    content = json.loads(done.stdout)
+    expected = sp.series(sp.chain(sp.Slider(10.0, 0.03, 0.3), sites=40, residual_strength=0.4), events=12)
+    np.testing.assert_allclose(content["load"], expected.load, rtol=1e-13)
+    np.testing.assert_array_equal(content["breaks"], expected.breaks)
+    assert content["load"][0] == pytest.approx(float(catalogue.load[0])), "the first event begins as without"
+    assert content["stress_drop"][0] < catalogue.stress_drop[0]
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (["--residual-strength", "1"], "residual_strength = 1: must lie in [0, 1)"),
+        (
+            ["--residual-strength", "0.5", "--newborn", "0.4", "--recovery", "1"],
+            "Ageing.newborn = 0.4 beside residual_strength",
+        ),
         (["--step", "0.5", "--spring", "1"], "two protocols"),
         (["--newborn", "0.5"], "needs both --newborn and --recovery"),
         (["--newborn", "1.5", "--recovery", "1"], "Ageing.newborn = 1.5"),

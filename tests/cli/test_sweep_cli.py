@@ -12,6 +12,7 @@ import sys
 import time
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 import xarray as xr
@@ -24,6 +25,7 @@ from slippulse_jax.sweeps.outputs import OUTPUTS, SETS
 
 ROOT = Path(__file__).resolve().parents[2]
 GRID = ["--height", "10:50:5", "--stiffness", "1e-3:0.1:3:log", "--poisson", "0.3"]
+FIG2 = sp.Slider(25.0, 0.03, 0.3)
 SAME = {"height": np.linspace(10, 50, 5), "stiffness": np.geomspace(1e-3, 0.1, 3), "poisson": 0.3}
 
 
@@ -52,6 +54,18 @@ def test_a_front_that_never_stops_is_null_in_json():
     assert json.loads(done.stdout)["data"]["length"][1] is None
     one = invoke("--height", "25", "--stiffness", "0.03", "--poisson", "0.3", "--outputs", "length")
     assert one.stdout.split() == ["length", str(float(sp.precursor_lengths(sp.Slider(25.0, 0.03, 0.3))))]
+
+
+@pytest.mark.ci
+def test_what_contacts_keep():
+    done = invoke("--height", "25", "--stiffness", "0.03", "--poisson", "0.3", "--residual-strength", "0,0.3",
+                  "--outputs", "length,dlength_dresidual_strength")  # fmt: skip
+    rows = list(csv.DictReader(io.StringIO(done.stdout)))
+    for row, r in zip(rows, (0.0, 0.3), strict=True):
+        length, slope = jax.value_and_grad(lambda r: sp.precursor_length(FIG2, sp.Interface(residual_strength=r)))(r)
+        assert float(row["residual_strength"]) == r
+        assert float(row["length"]) == pytest.approx(float(length), abs=1e-10)
+        assert float(row["dlength_dresidual_strength"]) == pytest.approx(float(slope), rel=1e-8)
 
 
 @pytest.mark.ci

@@ -93,11 +93,11 @@ def responses(height, stiffness, poisson, sites, right, reach, machine=None):
     return layer[:, 0], layer[:, 1:]
 
 
-def front_stress(load, pinning, count, prestress=0.0):
-    """Stress on contacts 0 … count − 1 as the front comes to each, in units of the threshold."""
+def front_stress(load, pinning, count, prestress=0.0, kept=0.0):
+    """Stress on contacts 0 … count − 1 as the front comes to each, in units of the threshold; a broken one has `kept` some."""
     stress = np.zeros(count, load.dtype)
     for s in range(count):
-        stress[s] = prestress + (1 - prestress) / load[0] * load[s] + pinning[s, :s] @ stress[:s]
+        stress[s] = prestress + (1 - prestress) / load[0] * load[s] + pinning[s, :s] @ (stress[:s] - kept)
     return stress
 
 
@@ -161,11 +161,13 @@ class DenseChain:
 
     `delay`: a broken contact repins, at zero stretch, as the nth contact after it breaks, or when the event ends.
     `strength(age)`: threshold over that of an unbroken contact; the clock is the load. `spring`: stiffness of the drive.
+    `residual`: share of its threshold that a contact keeps as it breaks, and carries while it is detached.
     """
 
     def __init__(
-        self, upper, layer, across, contact, end, *, stiffness, threshold, prestress, delay=0, strength=None, spring=None
-    ):
+        self, upper, layer, across, contact, end, *,
+        stiffness, threshold, prestress, delay=0, strength=None, spring=None, residual=0.0,
+    ):  # fmt: skip
         n = len(contact)
         self.n, self.k, self.stiffness, self.threshold, self.prestress = n, contact, stiffness, threshold, prestress
         self.delay, self.strength, self.spring = delay, strength, spring
@@ -179,6 +181,7 @@ class DenseChain:
             self.carrying = np.where(contact > 0, prestress * stiffness / contact, 0.0)
         self.pinning, self.load = np.zeros(n), 0.0
         self.attached, self.born = np.ones(n, bool), np.full(n, -np.inf)
+        self.residual, self.kept = residual, np.zeros(n)
 
     @classmethod
     def uniform(cls, slider, threshold, prestress, right="free", **more):
@@ -205,13 +208,13 @@ class DenseChain:
             gone = np.nonzero(~self.attached)[0]
             matrix = self.pushed.copy()
             matrix[n + gone, n + gone] -= self.k[gone]
-            rhs[n + gone] = self.stiffness * self.prestress[gone]
+            rhs[n + gone] = self.stiffness * (self.prestress - self.kept)[gone]
             x = np.linalg.solve(matrix, rhs)
         return x[:n], x[n:]
 
     def _stress(self, layer):
-        on = self.attached & (self.k > 0)
-        return np.where(on, self.k / self.stiffness * (layer - self.pinning) + self.prestress, 0.0)
+        carried = np.where(self.attached, self.k / self.stiffness * (layer - self.pinning) + self.prestress, self.kept)
+        return np.where(self.k > 0, carried, 0.0)
 
     def stress(self):
         """Stress of every contact, prestress included, in σ_s."""
@@ -283,6 +286,7 @@ class DenseChain:
         site = int(over.argmax()) if first is None else first
         while not order or (over[site] >= 0 and len(order) < max_breaks):
             self.overload.setdefault(site, over[site])
+            self.kept[site] = self.residual * self.thresholds()[site]
             if self.delay:
                 if len(waiting) == self.delay:
                     self._repin(waiting.pop(0), layer)
@@ -300,7 +304,8 @@ class DenseChain:
         return order
 
     def _repin(self, i, layer):
-        self.pinning[i], self.attached[i] = layer[i] + self.carrying[i], True
+        self.attached[i] = True
+        self.pinning[i] = layer[i] + self.carrying[i] - self.kept[i] * self.stiffness / self.k[i]
 
     def reach(self, order, alike=False):
         """ℓ of the event just over: where the stress over threshold passes zero ahead of the rightmost contact.

@@ -54,6 +54,15 @@ def test_labels_of_contours_are_inside_and_apart(length):
         assert not any(box.overlaps(other) for other in boxes[:i])
 
 
+def test_an_axis_of_what_contacts_keep_is_labelled():
+    """As an axis, as the value of a line, and as a number above."""
+    found = swept(lambda height, stiffness: height * stiffness, HEIGHT[:4]).rename(height="residual_strength")
+    found = found.assign_coords(residual_strength=[0, 0.1, 0.2, 0.3])
+    assert drawn(found).get_legend().get_title().get_text().replace("\n", " ") == "residual strength, $r$"
+    assert drawn(found.isel(stiffness=0)).get_xlabel() == "residual strength, $r$"
+    assert drawn(found.isel(residual_strength=1)).get_title("left") == r"$\nu$ = 0.3, $r$ = 0.1"
+
+
 @pytest.mark.ci
 def test_colours_of_decades_are_logarithmic():
     """Zeros have the lowest colour; what is signed, or spans less, is linear."""

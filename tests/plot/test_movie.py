@@ -3,6 +3,7 @@
 import matplotlib as mpl
 
 mpl.use("Agg")
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from PIL import Image
 
 import slippulse_jax as sp
 from slippulse_jax.events.first import FirstPrecursor
+from slippulse_jax.plot.labels import KEPT
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +38,27 @@ def test_gif_has_a_frame_for_every_break(front, tmp_path):
     np.testing.assert_allclose(stress, front.stress[: len(stress)], atol=1e-12)
     assert f"contacts broken: {broken}, it stops" in below.texts[0].get_text()
     assert "u_s" in above.get_ylabel()
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("event", ["domino", pytest.param("full", marks=pytest.mark.slow)])
+def test_what_contacts_keep_has_a_line(event):
+    """At r θ, of a front on thresholds with a slope, and of a block whose thresholds follow the pressure."""
+    with jax.enable_x64(True):
+        if event == "domino":
+            found = sp.first_precursor(sp.Slider(5.0, 0.2, 0.3), sp.Interface(0.0, 0.01, 0.4))
+        else:
+            found = sp.first_precursor(sp.Block(6.0, 0.1, 0.3, sp.Push(0.4), friction=0.3), sp.Interface(residual_strength=0.4))
+        movie = sp.plot.animate(found)
+        movie._func(int(found.breaks))
+    below = movie._fig.axes[1]
+    _, threshold, kept, stress, *_ = below.lines
+    shown = len(stress.get_ydata())
+    np.testing.assert_allclose(stress.get_ydata(), found.stress[:shown], atol=1e-12)
+    np.testing.assert_allclose(kept.get_ydata(), 0.4 * threshold.get_ydata(), atol=1e-12)
+    if event == "domino":
+        np.testing.assert_allclose(threshold.get_ydata(), 1 + 0.01 * np.arange(shown), atol=1e-12)
+    assert [text.get_text() for text in below.get_legend().get_texts()] == ["at nucleation", "threshold", KEPT]
 
 
 @pytest.mark.slow

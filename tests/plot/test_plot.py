@@ -14,6 +14,7 @@ from slippulse_jax import plot
 from slippulse_jax.bodies.chain import chain
 from slippulse_jax.events.rupture import nucleate, rupture
 from slippulse_jax.front.sensitivity import sensitivity
+from slippulse_jax.plot.labels import KEPT
 
 FIG2 = sp.Slider(height=25.0, stiffness=0.03, poisson=0.3)
 
@@ -49,6 +50,24 @@ def test_stress(ax, event):
     plot.stress(found.after, chain=c, before=found.before, ax=ax)
     assert has_units(ax, "lambda_c", "sigma_s")
     np.testing.assert_array_equal(ax.lines[1].get_ydata(), found.after.stress)
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.3])
+def test_what_contacts_keep(ax, event, kept):
+    """A line at r θ, of a chain and of a front, where contacts keep something."""
+    weaker = chain(FIG2, sites=80, threshold=np.linspace(1, 1.1, 80), residual_strength=kept)
+    plot.stress(event[1].after, chain=weaker, sites=40, ax=ax)
+    lines = {line.get_label(): line.get_ydata() for line in ax.lines}
+    assert list(lines) == ["stress", "threshold", *[KEPT] * (kept > 0)]
+    if kept:
+        np.testing.assert_allclose(lines[KEPT], 0.3 * np.linspace(1, 1.1, 80)[:40])
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == list(lines)
+    ax.clear()
+    plot.front_stress(np.array([1.0, 1.1, 0.9]), length=1.5, threshold=1.05, residual_strength=kept, ax=ax)
+    lines = {line.get_label(): line.get_ydata() for line in ax.lines}
+    assert (KEPT in lines) == (kept > 0)
+    if kept:
+        np.testing.assert_allclose(lines[KEPT], 0.3 * 1.05)
 
 
 def test_front_stress(ax, event):

@@ -71,6 +71,72 @@ def test_interface_parameters_are_axes_too():
     assert float(both.dlength_dprestress[1]) == pytest.approx(float(slope), rel=1e-10)
 
 
+KEPT = np.array([0.0, 0.2, 0.6])
+"""Shares of their strength that contacts keep."""
+
+
+@pytest.mark.ci
+def test_what_contacts_keep_is_an_axis():
+    """Beside a prestress: every output by the functions of one body, closed form and theory at (φ − r)/(1 − r)."""
+    phi = np.array([0.3, 0.65])
+    given = {"height": 25.0, "stiffness": 0.03, "poisson": 0.3, "prestress": phi, "residual_strength": KEPT}
+    outputs = ("length", "contacts_broken", "status", "edge_stress", "nucleation_load", "exact_length", "exact_status",
+               "length_macroscopic", "runaway_prestress", "gradients", "is_one_domino")  # fmt: skip
+    found, slider = sp.sweep(**given, outputs=outputs), sp.Slider(25.0, 0.03, 0.3)
+    assert found.length.dims == ("prestress", "residual_strength")
+    assert found.residual_strength.attrs["symbol"] == "r"
+    assert np.isinf(found.length).sum() == 2, "beyond the run-away prestress, which rises with what contacts keep"
+    runaway = KEPT + (1 - KEPT) * float(sp.theory.runaway_prestress(slider))
+    np.testing.assert_allclose(found.runaway_prestress[0], runaway, rtol=1e-14)
+    assert ((phi[:, None] > runaway) == np.isinf(found.length)).all()
+    assert float(found.nucleation_load.std("residual_strength").max()) < 1e-12
+    for p in phi:
+        for r in KEPT:
+            point, interface = found.sel(prestress=p, residual_strength=r), sp.Interface(p, residual_strength=r)
+            front = sp.first_precursor(slider, interface)
+            assert (int(point.status), int(point.exact_status)) == (int(front.status),) * 2
+            assert float(point.nucleation_load) == pytest.approx(float(front.load), rel=1e-13)
+            relaxed = (p - r) / (1 - r)
+            law = 25 * sp.theory.macroscopic_length(slider.b, 0.3, prestress=relaxed)
+            assert float(point.length_macroscopic) == pytest.approx(float(law), rel=1e-9)
+            if np.isfinite(front.length):
+                assert float(point.length) == pytest.approx(float(front.length), abs=1e-10)
+                assert float(point.exact_length) == pytest.approx(float(sp.exact_length(slider, interface)), rel=1e-11)
+                assert int(point.contacts_broken) == int(front.contacts_broken)
+                assert float(point.edge_stress) == pytest.approx(float(front.stress[0]), abs=1e-11)
+                of_slider, of_interface = jax.grad(sp.precursor_length, (0, 1))(slider, interface)
+                for name in (*SLIDER, *INTERFACE):
+                    own = getattr(of_slider if name in SLIDER else of_interface, name)
+                    assert float(point[f"dlength_d{name}"]) == pytest.approx(float(own), rel=1e-8), name
+
+
+@pytest.mark.ci
+def test_what_contacts_keep_beside_a_slope():
+    """The recursion has both; the closed form has one, which each of several points may choose."""
+    given = {"height": 100.0, "stiffness": 1 / 260, "poisson": 0.3, "threshold_slope": [0.002, 0.0], "residual_strength": 0.3}
+    found, slider = sp.sweep(**given, outputs=("length", "gradients")), sp.Slider(100.0, 1 / 260, 0.3)
+    assert float(found.length[0]) == pytest.approx(39.029304484, abs=1e-8), "of an independent recursion"
+    slope = jax.grad(lambda r: sp.precursor_length(slider, sp.Interface(0.0, 0.002, r)))(0.3)
+    assert float(found.dlength_dresidual_strength[0]) == pytest.approx(float(slope), rel=1e-8)
+    one_each = given | {"residual_strength": [0.0, 0.3]}
+    exact = sp.sweep(**one_each, points=True, outputs="exact_length").exact_length
+    for length, interface in zip(exact, (sp.Interface(0.0, 0.002), sp.Interface(residual_strength=0.3)), strict=True):
+        assert float(length) == pytest.approx(float(sp.exact_length(slider, interface)), rel=1e-11)
+    with pytest.raises(ValueError, match="'exact_length' takes threshold_slope or residual_strength, not both"):
+        sp.sweep(**one_each, outputs="exact_length")
+
+
+@pytest.mark.ci
+def test_blocks_whose_contacts_keep_something():
+    given = {"height": 30.0, "stiffness": 0.02, "poisson": 0.3, "push_height": 0.3, "residual_strength": KEPT[1:]}
+    found = sp.sweep(**given, outputs=("block_precursor_length", "exact_length"))
+    block = sp.Block(30.0, 0.02, 0.3, sp.Push(0.3))
+    with jax.enable_x64(True):
+        for r, length in zip(KEPT[1:], found.block_precursor_length, strict=True):
+            alone = sp.precursor_length(block, sp.Interface(residual_strength=r), event="full")
+            assert float(length) == pytest.approx(float(alone), rel=1e-9)
+
+
 def test_points_are_taken_together():
     h, q = np.array([10.0, 25.0, 50.0]), np.array([0.03, 0.01, 0.003])
     found = sp.sweep(height=h, stiffness=q, poisson=0.3, points=True, outputs="length")
@@ -140,6 +206,7 @@ def test_every_output_can_be_chosen_and_every_set_names_outputs():
     everything = {*SLIDER, *INTERFACE}
     assert "dlength_dprestress" in table.choose("gradients", everything)
     assert "dlength_dprestress" not in table.choose("gradients", {"height", "stiffness", "poisson"})
+    assert "dlength_dresidual_strength" not in table.choose("gradients", everything - {"residual_strength"})
 
 
 @pytest.mark.parametrize(
@@ -154,6 +221,13 @@ def test_every_output_can_be_chosen_and_every_set_names_outputs():
         ({"prestress": 0.1, "outputs": "length_eq25"}, "'length_eq25' takes no account of prestress"),
         ({"outputs": "smooth_length"}, "needs width"),
         ({"outputs": "dlength_dprestress"}, "needs prestress: give it, 0 for instance"),
+        ({"residual_strength": [0.5, 1.0]}, r"Interface.residual_strength = 1 at index 1: must lie in \[0, 1\)"),
+        ({"residual_strength": 0.1, "outputs": "length_eq25"}, "'length_eq25' takes no account of residual_strength"),
+        ({"prestress": 0.1, "outputs": "dlength_dresidual_strength"}, "needs residual_strength: give it, 0 for instance"),
+        (
+            {"threshold_slope": 0.001, "residual_strength": 0.2, "outputs": "exact_status"},
+            "'exact_status' takes threshold_slope or residual_strength, not both: ask for length and status",
+        ),
         ({"outputs": "exact_length", "right": "free", "sites": 100}, "'exact_length' is for a semi-infinite chain"),
         ({"right": "free"}, "needs a length"),
         ({"points": True}, "points are given as arrays of one length, got no array"),
@@ -278,12 +352,17 @@ def test_an_interface_gives_the_numbers_that_are_not_swept():
     assert fixed.identical(sp.sweep(**axes, prestress=0.1, threshold_slope=0.002))
     swept = sp.sweep(**axes, interface=sp.Interface(threshold_slope=0.002), prestress=[0.0, 0.1])
     np.testing.assert_array_equal(swept.length.sel(prestress=0.1), fixed.length)
+    swept = sp.sweep(**axes, interface=sp.Interface(0.1, 0.002), residual_strength=[0.0, 0.2])
+    np.testing.assert_allclose(swept.length.sel(residual_strength=0), fixed.length, rtol=1e-13)
+    fixed = sp.sweep(**axes, interface=sp.Interface(0.1, 0.002, 0.2))
+    np.testing.assert_array_equal(swept.length.sel(residual_strength=0.2), fixed.length)
 
 
 @pytest.mark.parametrize(
     ("given", "error", "message"),
     [
         ({"interface": sp.Interface(0.1), "prestress": [0.0]}, ValueError, "prestress is given twice: in the interface and as"),
+        ({"interface": sp.Interface(0, 0, 0.1), "residual_strength": 0.2}, ValueError, "residual_strength is given twice"),
         ({"interface": sp.Interface([0.1, 0.2])}, ValueError, r"interface has shape \(2,\): must be one"),
         ({"interface": sp.Profile([1.0, 1.1])}, TypeError, "for the Profile of one slider use"),
     ],

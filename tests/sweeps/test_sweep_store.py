@@ -335,6 +335,7 @@ def test_cut_off_chunk_and_missing_output(tmp_path):
         ({"outputs": ("length", "status")}, r"outputs: \['length'\], now \['length', 'status'\]"),
         ({"sites": 99, "right": "free"}, "right: 'semi-infinite', now 'free'; sites: None, now 99"),
         ({"prestress": 0.1}, "prestress: not given, now 0.1"),
+        ({"residual_strength": 0.1}, "residual_strength: not given, now 0.1"),
         ({"chunk": 7}, "has 5 points per chunk, not 7"),
         ({"resume": False}, "holds a sweep already"),
     ],
