@@ -7,6 +7,8 @@ places      forces at ten places and at the end; stiffness and friction fitted
 load        the same, with the normal load fitted too
 ageing      the same of contacts that age; newborn and time_constant fitted too
 events      events that advance by more than 1.5 contacts
+keeping     the first of contacts that keep 0 to 0.6 of their strength; residual_strength fitted too
+keeping_events  the same of events
 scattered   thresholds that scatter by 5 %, fitted with threshold_scatter = 0.05
 uniform     the same, fitted as if they did not scatter
 fitted      the same as uniform, with model_error = "fitted"
@@ -40,9 +42,9 @@ import independent_sequence  # pyright: ignore[reportMissingImports]
 SMALLEST = "--studies 1 ageing events"
 
 HEIGHT, YOUNG, POISSON, NORMAL, LOAD, WIDTH, PUSHER = 30.0, 3.0, 0.3, 1.2, 1000.0, 10.0, 0.1  # mm, GPa, N; k_n/k; over H
-OF_FORCE, OF_PLACE, OF_ARREST, SCATTER = 0.01, 0.005, 0.03, 0.05
+OF_FORCE, OF_PLACE, OF_ARREST, SCATTER, MOST_KEPT = 0.01, 0.005, 0.03, 0.05, 0.6
 ROWS = 11
-KINDS = ("places", "load", "ageing", "events", "scattered", "uniform", "fitted")
+KINDS = ("places", "load", "ageing", "events", "keeping", "keeping_events", "scattered", "uniform", "fitted")
 
 
 class Study(NamedTuple):
@@ -63,18 +65,19 @@ def study(kind: str, random: np.random.Generator, rows: int = ROWS) -> Study:
     threshold = random.normal(1, SCATTER, sites) if kind in ("scattered", "uniform", "fitted") else 1.0
     low, high = (at - PUSHER / 2) * contacts, (at + PUSHER / 2) * contacts
     elastic = independent_block.responses(contacts, sites, low, high, b / (2 * (1 + POISSON) * contacts), POISSON, NORMAL)
-    events = independent_sequence.sequence(*elastic, friction, threshold, ageing)
-    if kind == "events":
+    kept, numbered = random.uniform(0, MOST_KEPT) if kind.startswith("keeping") else 0.0, kind.endswith("events")
+    events = independent_sequence.sequence(*elastic, friction, threshold, ageing, kept)
+    if numbered:
         events = independent_sequence.visible(events)
     reached = np.minimum(np.maximum.accumulate([event.length for event in events]), sites)
     forces = np.array([event.force for event in events])
-    place = reached if kind == "events" else np.append(np.linspace(0.1, 0.95, rows - 1) if rows > 2 else 0.5, 1.0) * sites
+    place = reached if numbered else np.append(np.linspace(0.1, 0.95, rows - 1) if rows > 2 else 0.5, 1.0) * sites
     force = friction * LOAD * forces[np.searchsorted(reached, place - 1e-9)]
     number = 1 + np.arange(place.size)
-    if kind == "events" and rows < min(ROWS, place.size):
-        kept = np.sort(random.permutation(place.size)[:rows])
-        place, force, number = place[kept], force[kept], number[kept]
-    spans, error = place >= sites, (OF_ARREST if kind == "events" else OF_PLACE) * place
+    if numbered and rows < min(ROWS, place.size):
+        some = np.sort(random.permutation(place.size)[:rows])
+        place, force, number = place[some], force[some], number[some]
+    spans, error = place >= sites, (OF_ARREST if numbered else OF_PLACE) * place
     noise = random.standard_normal((2, place.size))
     measured = np.where(spans, place, np.minimum(place + error * noise[0], sites))
     table = {
@@ -85,11 +88,13 @@ def study(kind: str, random: np.random.Generator, rows: int = ROWS) -> Study:
         "length_sigma_mm": np.where(spans, np.nan, error * contact), "spans": np.where(spans, "yes", "no"),
     }  # fmt: skip
     table |= {} if kind == "load" else {"normal_load_N": LOAD}
-    table |= {"event": number} if kind == "events" else {}
+    table |= {"event": number} if numbered else {}
     free, truth = ["stiffness", "friction"], {"areal_stiffness": b * YOUNG * 1e9 / (2 * (1 + POISSON) * HEIGHT * 1e-3)}
     truth["friction"] = friction
     if kind == "load":
         truth["normal_load"] = LOAD / (WIDTH * 1e-3)
+    if kind.startswith("keeping"):
+        truth["residual_strength"] = kept
     if ageing is not None:
         truth |= dict(zip(("newborn", "time_constant"), ageing, strict=True))
     options = {"scattered": {"fixed": {"threshold_scatter": SCATTER}}, "fitted": {"model_error": "fitted"}}

@@ -17,21 +17,24 @@ class Event(NamedTuple):
     force: float  # on the pusher, over that of friction μF_N
 
 
-def sequence(push, response, push_lost, lost, friction, threshold=1.0, ageing=None):
+def sequence(push, response, push_lost, lost, friction, threshold=1.0, ageing=None, residual=0.0):
     """Events of a block under a slow push, up to the one that spans it; all contacts start relaxed.
 
-    The first four arguments are those of `independent_block.precursor`, `threshold` is that of every contact, and `ageing` the
+    The first four arguments are those of `independent_block.precursor`, `threshold` is that of every contact, `ageing` the
     strength of a contact that has just broken, over that of an old one, and the rise of the push in which it recovers. The push
-    rises until a contact reaches its strength, and is held while contacts break, the most overloaded next; each lets go of all
-    its stress. By balance of forces, the pusher carries the sum of what the contacts carry.
+    rises until a contact reaches its strength, and is held while contacts break, the most overloaded next; each keeps the share
+    `residual` of its strength. By balance of forces, the pusher carries the sum of what the contacts carry.
     """
     weak, recovery = ageing or (1.0, 1.0)
     n, load, events = len(push), 0.0, []
     stress, relief, broken_at = np.zeros(n), np.zeros(n), np.full(n, -np.inf)
 
+    def strength(rise):
+        aged = threshold * (1 - (1 - weak) * np.exp(-(load + rise - broken_at) / recovery))
+        return aged * (1 - friction * (relief + rise * push_lost))
+
     def over(rise):
-        strength = threshold * (1 - (1 - weak) * np.exp(-(load + rise - broken_at) / recovery))
-        return stress + rise * push - strength * (1 - friction * (relief + rise * push_lost))
+        return stress + rise * push - strength(rise)
 
     while len(events) < MOST_EVENTS:
         rise, j = first_crossing(over, push + friction * threshold * push_lost, threshold * (1 - friction * relief) - stress)
@@ -40,7 +43,7 @@ def sequence(push, response, push_lost, lost, friction, threshold=1.0, ageing=No
         while not first_over or excess.max() >= 0:
             j = j if not first_over else int(np.argmax(excess))
             first_over.setdefault(j, max(excess[j], 0.0))
-            released = stress[j]
+            released = stress[j] - residual * strength(0.0)[j]
             stress, relief = stress + response[:, j] * released, relief + lost[:, j] * released
             stress[j] -= released
             broken_at[j] = load

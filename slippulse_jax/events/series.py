@@ -228,9 +228,10 @@ def static_friction(
 
     Notes
     -----
-    It falls as the block becomes longer, or the interface stiffer, and rises towards 1 with what contacts keep. Stresses are in
-    σ_s = μF_N/(area), so that the normal load itself has no part in it as long as k stays the same; where k grows with the
-    load, k/K does.
+    It falls as the block becomes longer or the interface stiffer while the first break has the largest force, rises towards 1
+    with what contacts keep where creep has, and stays near 0.6 of long blocks on stiff interfaces (docs/model/amontons.md).
+    Stresses are in σ_s = μF_N over the area, so that the normal load itself has no part in it as long as k stays the same;
+    where k grows with the load, k/K does. A program is compiled for each number of contacts, to a power of two, and of events.
     """
     sites = checked_sites(body, None)
     count = FEW_EVENTS * sites if events is None else events

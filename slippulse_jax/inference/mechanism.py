@@ -43,7 +43,12 @@ class Mechanism:
             return "a self-healing front: a crack-like one is rejected"
         if pulse:
             return "a crack-like front: a self-healing one is rejected"
-        return "these measurements do not tell the two apart"
+        if self.pulse.measurements.gauges is None:
+            return (
+                "lengths alone cannot separate a pulse from a crack, each with the stress that it leaves free; gauges behind "
+                "the tip can"
+            )
+        return "these measurements do not separate the two"
 
     def __str__(self) -> str:
         crack = ", ".join(f"{name} {value:.4g}" for name, value in self.crack.values.items())
@@ -76,7 +81,8 @@ def pulse_or_crack(
         Readings of gauges behind the tip tell most: a crack leaves its friction there, a pulse the stress of contacts that were
         loaded anew. From lengths alone little can be told (docs/model/beyond.md).
     free : sequence of str or Parameter
-        Parameters to fit, as for `fit`; the crack's friction is fitted beside them.
+        Parameters to fit, as for `fit`. The stress that a front leaves behind is fitted beside them: what contacts of the pulse
+        keep (`residual_strength`), unless a prestress is fitted or thresholds have a slope, and the friction of the crack.
     simulations : int
         Measurements simulated from each fit.
     seed : int
@@ -101,9 +107,13 @@ def pulse_or_crack(
         raise ValueError("event = 'crack': both fronts are fitted; 'domino' or 'full' says what the pulse's lengths are")
     options = {"intervals": "profile", "body": "slider", **options}  # none is looked at here
     wanted = wanted_parameters(measurements, free, options.pop("bounds", None), options.pop("fixed", None))
-    pulse = fit(measurements, [one for one in wanted if one.name != "friction"], seed=seed, **options)
-    friction = [] if any(one.name == "friction" for one in wanted) else [Parameter("friction")]
-    crack = fit(measurements, [*wanted, *friction], seed=seed, **{**options, "event": "crack"})
+    names = {one.name for one in wanted}
+    alike = {"prestress", "threshold_slope"} & names or measurements.or_zero("threshold_slope").any()
+    kept = [] if alike or "residual_strength" in names else [Parameter("residual_strength")]
+    friction = [] if "friction" in names else [Parameter("friction")]
+    pulse = fit(measurements, [*(one for one in wanted if one.name != "friction"), *kept], seed=seed, **options)
+    of_crack = [*(one for one in wanted if one.name != "residual_strength"), *friction]
+    crack = fit(measurements, of_crack, seed=seed, **{**options, "event": "crack"})
     rng = np.random.default_rng(seed)
     of_pulses, of_cracks = (_differences(truth, pulse, crack, simulations, rng) for truth in (pulse, crack))
     difference = pulse.deviance - crack.deviance

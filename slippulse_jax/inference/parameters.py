@@ -176,6 +176,10 @@ class ParameterSet:
         log_lc, log_young = np.log(m.metres), 0.0 if m.young is None else np.log(m.young)
         every = np.log(m.height), log_lc - log_young, m.poisson, m.or_zero("prestress"), m.or_zero("threshold_slope")
         base = dict(zip(COMMON, every, strict=True)) | self.front.stated(m)
+        if "residual_strength" in self.front.inputs and (
+            m.or_zero("residual_strength").any() or any(one.name == "residual_strength" for one in self.effects)
+        ):
+            base["residual_strength"] = m.or_zero("residual_strength")
         acts: dict[str, dict[str, Any]] = {name: {} for name in base}
         for parameter in {one.name for one in self.effects}:
             for name, size in acts_of(m, parameter).items():
@@ -289,6 +293,7 @@ PARAMETERS: dict[str, ParameterKind] = {
     "poisson": ParameterKind("ν", ("", ""), False, {"poisson": 1}, (0.0, 0.5), 1.0, (-0.99, 0.5)),
     "prestress": ParameterKind("φ", ("σ_s", "σ_s"), False, {"prestress": 1}, (-0.95, 0.95), 1.0, (-0.99, 0.99)),
     "threshold_slope": ParameterKind("ε", ("1/λc", "1/λc"), False, {"threshold_slope": 1}, None, 1.0),
+    "residual_strength": ParameterKind("r", ("", ""), False, {"residual_strength": 1}, (0.0, 0.9), 1.0, (0.0, 0.99)),
     "friction": ParameterKind("", ("", ""), False, {"friction": 1}, (0.0, 0.95), 1.0, limits=(0.0, np.inf)),
     "newborn": ParameterKind("newborn", ("", ""), False, {"newborn": 1}, (0.05, 1.0), limits=(0.01, 1.0)),
     "time_constant": ParameterKind("τ", ("u_s", "u_s"), True, {"log_time": 1}, (0.02, 50.0)),
@@ -585,6 +590,7 @@ def checked(
         one.check(m, names)
     _check_complete(m, chosen, observables)
     front.check(m, {one.name: one for one in chosen})
+    _check_separable(m, chosen, front, observables)
     known = {name for one in observables for name in (*one.acts, one.added)} | {"block_width"}
     for name in names:
         if not PARAMETERS[name].acts.keys() & {*front.inputs, *COMMON} and name not in known:
@@ -663,6 +669,17 @@ def _carries_strength(m: Measurements, observables: Iterable[Observable]) -> str
     return " and ".join(own)
 
 
+def _check_separable(m: Measurements, chosen: Sequence[Parameter], front: Front, observables: Iterable[Observable]) -> None:
+    """Refuse prestress and what contacts keep together, where only lengths were measured."""
+    free = [one for one in chosen if one.name in ("prestress", "residual_strength") and one.value is None and not one.prior]
+    if len(free) == 2 and "length" in front.observes and all(isinstance(x, Length) or not x.there(m) for x in observables):
+        option = m.option("--fix prestress=0", 'fixed={"prestress": 0}')
+        raise ValueError(
+            f"parameters prestress and residual_strength: lengths determine only (φ − r)/(1 − r): hold one ({option}), state a "
+            "prior of it, or measure forces or the stress behind the tip too"
+        )
+
+
 # --- the range that is searched -----------------------------------------------------------------------------------------
 
 
@@ -699,7 +716,10 @@ def _check_reached(m: Measurements, q: ParameterSet) -> None:
     if key is None or m.length.min() <= 1 or "length" not in q.front.observes:
         return
     reach = {each: _reach(q, q.inputs.get(each)) for each in q.inputs.names}
-    easiest = {each: ends[each not in ("threshold_slope", "friction", "log_machine")] for each, ends in reach.items()}
+    easiest = {
+        each: ends[each not in ("threshold_slope", "friction", "log_machine", "residual_strength")]
+        for each, ends in reach.items()
+    }
     low, high = reach["log_stiffness"]
     softest = np.log(front_for("slider", "domino").softest(m))
     some = np.flatnonzero(high > softest)
@@ -814,6 +834,8 @@ def check_used(m: Measurements, what: str) -> None:
     for name in ("block_length", "machine_stiffness"):
         if getattr(m, name) is not None and np.isfinite(getattr(m, name)).any():
             raise MeasurementError(f"{m.source}, column {name}: {what} takes blocks without end, whose edge is held")
+    if m.or_zero("residual_strength").any():
+        raise MeasurementError(f"{m.source}, column residual_strength: {what} takes contacts that lose everything")
     errors = [one for one in COLUMNS if one.endswith("_sigma") and COLUMNS[one].value in PARAMETERS]
     unused = [m.heading(name) for name in errors if getattr(m, name) is not None and np.any(getattr(m, name))]
     unused += ["gauges"] * (m.gauges is not None) + ["what lengths of provenance measured share"] * ("measured" in m.provenance)

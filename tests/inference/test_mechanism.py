@@ -73,7 +73,7 @@ def test_lengths_of_one_height_do_not():
     slider = sp.Slider(25.0, 0.03, 0.3)
     m = sp.Measurements(25.0, 0.3, float(sp.exact_length(slider)), 0.5)
     found = sp.pulse_or_crack(m, simulations=20)
-    assert found.statement == "these measurements do not tell the two apart"
+    assert "lengths alone cannot separate a pulse from a crack" in found.statement
     assert found.crack.deviance < 1e-6
 
 

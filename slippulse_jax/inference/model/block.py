@@ -13,7 +13,7 @@ from slippulse_jax.inference.model.front import (
     Front,
     Regime,
 )
-from slippulse_jax.inference.model.inputs import Input, Inputs
+from slippulse_jax.inference.model.inputs import KEPT, Input, Inputs
 from slippulse_jax.inference.table.measurements import Measurements
 from slippulse_jax.theory import block_decay_length
 
@@ -30,6 +30,7 @@ class BlockEvent(Front):
         "friction": Input("μ", 0.0, np.inf, FRICTION.requirement, 1e-4, (0.0, np.inf)),
         "log_normal_stiffness": Input("k_n/k", -np.inf, np.inf, ""),
         **{name: Input("", 0.0, 1.0, "") for name in FLAGS},
+        "residual_strength": KEPT,
     }
     interpolated = True
     most_off = np.inf
@@ -57,7 +58,8 @@ class BlockEvent(Front):
         self.followed = Families(tried=tried)
         whole = [m for m in tables if m.push_height is not None and not np.isnan(m.push_height).any()]
         for m in whole:
-            own = Inputs.of(m.height, 1.0, m.poisson, m.or_zero("prestress")).given(**self.stated(m))
+            kept = {"residual_strength": m.or_zero("residual_strength")}
+            own = Inputs.of(m.height, 1.0, m.poisson, m.or_zero("prestress")).given(**self.stated(m), **kept)
             self.followed.add(geometry_of(own), m.length / m.height, m.height)
         if whole:
             m = whole[0]

@@ -35,9 +35,10 @@ from slippulse_jax.interface import Interface
 
 AXES = {
     "poisson": 0.1, "prestress": 0.1, "log_push": 0.1, "log_push_width": 0.3, "log_ratio": 0.2, "friction": 0.02,
-    "log_normal_stiffness": 0.5,
+    "log_normal_stiffness": 0.5, "log_lost": 0.1,
 }  # fmt: skip
-"""Inputs that a block may differ in from the one it is followed from, and the spacing of the nodes in them; ln L/H is one."""
+"""Inputs that a block may differ in from the one it is followed from, and the spacing of the nodes in them; ln L/H is one, and
+the logarithm of what contacts lose of their strength, 1 − r."""
 FLAGS = ("push_force", "multicontact", "top_held")
 """Inputs that are 0 or 1."""
 GEOMETRY = (*AXES, *FLAGS)
@@ -449,8 +450,8 @@ def geometry_of(inputs: Inputs) -> Float[np.ndarray, "n g"]:
     def stated(name: str) -> np.ndarray:
         return inputs.get(name) if name in inputs.names else np.full_like(inputs.log_height, absent.get(name, 0))
 
-    ratio = stated("log_sites") - inputs.log_height
-    return np.stack([ratio if name == "log_ratio" else stated(name) for name in GEOMETRY], axis=-1)
+    own = {"log_ratio": stated("log_sites") - inputs.log_height, "log_lost": np.log1p(-stated("residual_strength"))}
+    return np.stack([own[name] if name in own else stated(name) for name in GEOMETRY], axis=-1)
 
 
 def _moved(geometry: Geometry, axis: int, steps: float) -> Geometry:
@@ -509,7 +510,7 @@ def _offsets(geometry: Float[np.ndarray, "n g"], origin: Float[np.ndarray, "... 
 
 def _bodies(geometry: Float[np.ndarray, "n g"], height: np.ndarray, b: Any = 1.0) -> tuple[Any, Interface]:
     """Blocks of one kind, within their domains, and their interfaces."""
-    poisson, prestress, log_push, log_width, log_ratio, friction, log_normal, *flags = geometry.T
+    poisson, prestress, log_push, log_width, log_ratio, friction, log_normal, log_lost, *flags = geometry.T
     force, multicontact, held = (bool(flag[0]) for flag in flags)
     poisson = np.clip(poisson, -STEEPEST, 0.5)
     at = np.clip(np.exp(log_push), 2 * LOWEST, 1 - 2 * LOWEST)
@@ -522,7 +523,8 @@ def _bodies(geometry: Float[np.ndarray, "n g"], height: np.ndarray, b: Any = 1.0
         normal_stiffness=np.exp(log_normal) if pressed else None, friction=np.maximum(friction, 0) if pressed else None,
         contact_law="multicontact" if multicontact else "amontons", top="held" if held else "free",
     )  # fmt: skip
-    return block, Interface(np.clip(prestress, -STEEPEST, STEEPEST), np.zeros(len(prestress)))
+    kept = -np.expm1(np.minimum(log_lost, 0)) if log_lost.any() else None
+    return block, Interface(np.clip(prestress, -STEEPEST, STEEPEST), np.zeros(len(prestress)), kept)
 
 
 # --- between nodes --------------------------------------------------------------------------------------------------------

@@ -87,6 +87,8 @@ class Front:
             raise ValueError("parameter friction: contacts slide only behind a crack-like front: event = 'crack'")
         if "machine_stiffness" in names:
             raise ValueError("parameter machine_stiffness: of sequences of a block, with a force for every length")
+        if all(name in names or m.or_zero(name).any() for name in ("threshold_slope", "residual_strength")):
+            raise ValueError(f"{m.source}: threshold_slope beside residual_strength: a fit takes one of the two")
 
     def stated(self, m: Measurements) -> dict[str, np.ndarray]:
         """Its own inputs that the measurements state, each of shape (n,)."""
@@ -260,7 +262,8 @@ class Front:
 
         Traced, each of shape (count,); inf where that is not beyond all that have broken, on which fields depend.
         """
-        slip, stress = slip_and_stress(sliders(inputs, jnp.exp), inputs.prestress, stopped, count)
+        kept = inputs.more.get("residual_strength", 0.0)
+        slip, stress = slip_and_stress(sliders(inputs, jnp.exp), inputs.prestress, stopped, count, kept)
         return jnp.where(stopped < count, slip, jnp.inf), jnp.where(stopped < count, stress, jnp.inf)
 
     def regime(self, inputs: Inputs) -> Regime:
@@ -303,8 +306,8 @@ class Front:
 
 
 def is_relaxed(inputs: Inputs, along: Along = None) -> bool:
-    """Whether prestress and slope are zero, and stay so along a line."""
-    return not (inputs.prestress.any() or inputs.threshold_slope.any() or along is not None and along[:, 3:5].any())
+    """Whether contacts are relaxed, and stay so along a line."""
+    return inputs.relaxed and not (along is not None and along[:, 3:5].any())
 
 
 def by_jax(function: Any, front: Front, inputs: Inputs, along: Along, **options: Any) -> Predicted:
@@ -357,8 +360,14 @@ def sliders(inputs: Inputs, exp: Any = np.exp) -> Slider:
 
 
 def numbers_of(inputs: Inputs) -> Float[np.ndarray, "5 L"]:
-    """H/λc, k/K, ν, φ, ε."""
-    return np.stack([np.exp(inputs.log_height), inputs.ratio, *inputs[2:5]])
+    """H/λc, k/K, ν, φ, ε, as of contacts that keep nothing."""
+    return np.stack([np.exp(inputs.log_height), inputs.ratio, inputs.poisson, equivalent_prestress(inputs), inputs[4]])
+
+
+def equivalent_prestress(inputs: Inputs) -> np.ndarray:
+    """(φ − r)/(1 − r), on which lengths under level thresholds depend."""
+    kept = inputs.more.get("residual_strength", 0.0)
+    return (inputs.prestress - kept) / (1 - kept)
 
 
 @jax.jit

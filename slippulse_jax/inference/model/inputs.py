@@ -11,7 +11,8 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slippulse_jax.base.domains import POISSON, PRESTRESS, THRESHOLD_SLOPE
+from slippulse_jax.base.domains import POISSON, PRESTRESS, RESIDUAL_STRENGTH, THRESHOLD_SLOPE
+from slippulse_jax.interface import Interface
 
 
 class Input(NamedTuple):
@@ -34,6 +35,10 @@ COMMON = {
     "threshold_slope": Input("ε", THRESHOLD_SLOPE.low, THRESHOLD_SLOPE.high, THRESHOLD_SLOPE.requirement, 5e-6),
 }
 """Inputs of every model."""
+KEPT = Input("r", RESIDUAL_STRENGTH.low, 0.999, RESIDUAL_STRENGTH.requirement, 1e-4, (0.0, 0.99))
+"""What contacts keep of their strength, an input of all self-healing events; there only where it may be more than 0."""
+STEEPEST = 0.99
+"""Largest |φ| of an `Interface` by which a table of lengths computes one far below."""
 
 
 @jax.tree_util.register_dataclass
@@ -122,6 +127,17 @@ class Inputs(NamedTuple):
         return self._replace(more={name: x for name, x in self.more.items() if name not in names})
 
     @property
+    def relaxed(self) -> bool:
+        """Whether prestress, slope and what contacts keep are 0 for certain."""
+        none = (not (x.base.any() or x.slope.any()) if isinstance(x, Linear) else not x.any() for x in self[3:5])
+        return "residual_strength" not in self.more and all(none)
+
+    @property
+    def interface(self) -> Interface:
+        """The contacts."""
+        return Interface(self.prestress, self.threshold_slope, self.more.get("residual_strength"))
+
+    @property
     def log_b(self) -> Any:
         """Logarithm of b, the areal stiffness times H over the shear modulus."""
         return np.log(2 * (1 + self.poisson)) + self.log_stiffness + self.log_height
@@ -151,3 +167,10 @@ class Stacked:
     def at(self, theta: Any) -> Inputs:
         """Values at one θ, (p,); (n,) each."""
         return Inputs.from_table(self.names, self.base + (theta[None, :, None] * self.slope).sum(axis=1))
+
+
+def interface_of(equivalent: np.ndarray, slope: Any = 0.0) -> Interface:
+    """Contacts of an equivalent prestress below 1, however far below −1."""
+    prestress = np.clip(equivalent, -STEEPEST, STEEPEST)
+    far = equivalent < -STEEPEST
+    return Interface(prestress, slope, np.where(far, (prestress - equivalent) / (1 - equivalent), 0.0) if far.any() else None)

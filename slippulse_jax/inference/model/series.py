@@ -36,14 +36,14 @@ SITES = 128
 """Most contacts of a block whose series is followed."""
 COARSER = 80
 """Contacts of every other series of a block that has more than `SITES`."""
-EVENTS = 4 * SITES
-"""Most events of a series; a front that creeps by single contacts has one for each."""
+EVENTS = 16 * SITES
+"""Most events of a series; a front that creeps by single contacts has one for each, of contacts that keep much several."""
 TOGETHER = 8
 """Series of one geometry that are followed by one lane."""
 GEOMETRY = ("poisson", "log_ratio", "log_push", "log_push_width", "log_normal_stiffness")
 """What the elastic block is: ν, and the logarithms of L/H, h/H, w/H and k_n/k."""
-CONTACTS = ("log_b", "friction", "prestress", "log_machine", "newborn", "log_time", "threshold_scatter")
-"""What may differ on one block: ln b, μ, φ, ln M/K, a newborn contact, ln τ over u_s, scatter of thresholds."""
+CONTACTS = ("log_b", "friction", "prestress", "log_machine", "newborn", "log_time", "threshold_scatter", "residual_strength")
+"""What may differ on one block: ln b, μ, φ, ln M/K, a newborn contact, ln τ over u_s, scatter of thresholds, and r."""
 CREEP = 0.01
 """Weight of an event that is not seen, over that of one that is: of single contacts, between the events of a record."""
 WEAKEST = 0.05
@@ -106,7 +106,7 @@ class Followed(NamedTuple):
 
 def followed(
     geometry: Float[np.ndarray, "n 5"],
-    contacts: Float[np.ndarray, "n 7"],
+    contacts: Float[np.ndarray, "n 8"],
     height: Float[np.ndarray, " n"] | float,
     *,
     top: Top = "free",
@@ -131,7 +131,8 @@ def followed(
     for column, values in zip(found, over_lanes(_series(aged, wide, scattered, top), [*lanes.T], ONE_BY_ONE), strict=True):
         for i, rows in enumerate(parts):
             column[rows] = values[: len(rows), :, i]
-    return found
+    there = 1 + int((found.end > 0).sum(axis=1).max())  # and what follows the last
+    return Followed(*(column[:, :there] for column in found))
 
 
 @functools.cache
@@ -153,9 +154,9 @@ def _series(aged: bool, wide: bool, scattered: bool, top: Top) -> Kernel:
         bare = unattached(block(points[0]))
 
         def one(contacts: Array) -> tuple[Array, ...]:
-            body = contacts_of(block(contacts), Interface(contacts[2], 0.0), SITES, bare)
+            body = contacts_of(block(contacts), Interface(contacts[2], 0.0, contacts[7]), SITES, bare)
             if scattered:
-                drawn = jax.random.normal(jax.random.key(contacts[7].astype(jnp.int32)), (SITES,), body.threshold.dtype)
+                drawn = jax.random.normal(jax.random.key(contacts[8].astype(jnp.int32)), (SITES,), body.threshold.dtype)
                 threshold = body.threshold * jnp.maximum(1 + contacts[6] * drawn, WEAKEST)
                 body = body._replace(threshold=threshold, alike=False)
             body = body.up_to(body.last)
@@ -175,7 +176,7 @@ def _series(aged: bool, wide: bool, scattered: bool, top: Top) -> Kernel:
     return of_lane
 
 
-SIZES = 0.03, 0.05, 0.05, 0.1, 0.2, 0.06, 0.06, 0.03, 0.3, 0.06, 0.2, 0.02, 0.05
+SIZES = 0.03, 0.05, 0.05, 0.1, 0.2, 0.06, 0.06, 0.03, 0.3, 0.06, 0.2, 0.02, 0.03, 0.05
 UNITS = dict(zip((*GEOMETRY, *CONTACTS, "log_extent"), SIZES, strict=True))  # the last of how places are read
 """Least half-width of a cloud in each number: the slope over less is that of single orders of breaks."""
 APART = 1_000_000
@@ -272,7 +273,7 @@ class BlockSeries(BlockEvent):
 
     @staticmethod
     def numbers(inputs: Inputs, numpy: Any = np) -> Any:
-        """Numbers of a series, and of how it is read; (…, 13).
+        """Numbers of a series, and of how it is read; (…, 14).
 
         `numpy` may be JAX's.
         """
@@ -280,6 +281,7 @@ class BlockSeries(BlockEvent):
             "log_ratio": inputs.get("log_sites") - inputs.log_height,
             "log_b": numpy.log(2 * (1 + inputs.poisson)) + inputs.log_stiffness + inputs.log_height,
         }
+        given |= {} if "residual_strength" in inputs.more else {"residual_strength": 0 * inputs.poisson}
         return numpy.stack([given[name] if name in given else inputs.get(name) for name in UNITS], axis=-1)
 
     @classmethod

@@ -33,7 +33,7 @@ from slippulse_jax.inference.model.front import (
     numbers_of,
     sliders,
 )
-from slippulse_jax.inference.model.inputs import COMMON, Input, Inputs
+from slippulse_jax.inference.model.inputs import COMMON, KEPT, STEEPEST, Input, Inputs, interface_of
 from slippulse_jax.inference.model.interpolation import Grid
 from slippulse_jax.inference.table.measurements import Measurements
 from slippulse_jax.interface import Interface
@@ -52,8 +52,8 @@ LONGEST, FAR_FROM = 2e4, 0.2
 thresholds over one height, from which on a front on sloping thresholds may run some `APPROACH` heights."""
 SEEN_SOON = 2e3
 """Breaks within which the recursion may take to see that a front never stops; beyond, the closed form is asked first."""
-SHORTEST, STEEPEST = 1.01, 0.99
-"""Least H/λc, and largest |ν| and |φ|, at which a whole event is computed: inside the domains."""
+SHORTEST = 1.01
+"""Least H/λc at which a whole event is computed: inside the domain, as the largest |ν| and |φ| are, `STEEPEST`."""
 SPACING = [0.25, 0.2, 0.1, 0.1, 0.1]
 """Spacing of whole events on sliders, in ln H/λc, ln b, ν, φ and ε H/λc."""
 FARTHEST, AT_LEAST = 8.0, 2**12
@@ -75,6 +75,7 @@ class FirstFront(Front):
     inputs = {
         "log_sites": Input("L/λc", np.log(2.0), np.inf, "must be at least 2"),
         "log_machine": Input("M/K", np.log(1e-30), np.inf, "must be positive"),
+        "residual_strength": KEPT,
     }
 
     def stated(self, m: Measurements) -> dict[str, np.ndarray]:
@@ -88,7 +89,7 @@ class FirstFront(Front):
 
     def length(self, inputs: Inputs, relaxed: bool) -> Array:
         """ℓ of one lane."""
-        return jnp.asarray(arrest(sliders(inputs, jnp.exp), _interface(inputs, relaxed)).length)
+        return jnp.asarray(arrest(sliders(inputs, jnp.exp), None if relaxed else inputs.interface).length)
 
     def evaluate(self, inputs: Inputs, along: Along = None) -> Predicted:
         """ℓ by the loop over lanes.
@@ -189,7 +190,7 @@ class FirstFront(Front):
 
     def breaks_again(self, inputs: Inputs) -> np.ndarray:
         """Whether the edge is back at its threshold before the front stops."""
-        uneven = (inputs.prestress != 0) | (inputs.threshold_slope != 0) | bool({*ENDED} & {*inputs.names})
+        uneven = (numbers_of(inputs)[3:] != 0).any(axis=0) | bool({*ENDED} & {*inputs.names})
         may = uneven | (np.exp(inputs.log_b) >= NEVER)
         return self.status(inputs) == Outcome.REBREAK if may.any() else may
 
@@ -199,6 +200,7 @@ class WholeEvent(Front):
 
     event = "full"
     rising = RISING
+    inputs = {"residual_strength": KEPT}
     interpolated = True
     most_off = 1.0
     length_modelled = "length of the whole event, in which contacts may break again"
@@ -280,7 +282,7 @@ def _over_front(place: Float[np.ndarray, "n 5"]) -> Float[np.ndarray, "n 1"]:
     height, b, poisson, prestress, slope = place.T
     height, poisson = np.maximum(np.exp(height), SHORTEST), np.clip(poisson, -STEEPEST, 0.5)
     slider = Slider(height, np.exp(b) / (2 * (1 + poisson) * height), poisson)
-    interface = Interface(np.clip(prestress, -STEEPEST, STEEPEST), slope / height) if prestress.any() or slope.any() else None
+    interface = interface_of(prestress, slope / height) if prestress.any() or slope.any() else None
     front = bulk_lengths(slider, interface)
     with np.errstate(invalid="ignore"):
         return np.where(front > 0, bulk_lengths(slider, interface, event="full") / front, 1)[:, None]
@@ -294,7 +296,7 @@ def lane_fields(inputs: Inputs, along: Inputs, relaxed: bool, numpy: Any) -> tup
 
     A missing end is so far away that no digit changes.
     """
-    names, ended = [*COMMON], bool({*ENDED} & {*inputs.names})
+    names, ended = [*COMMON, *({"residual_strength"} & {*inputs.more})], bool({*ENDED} & {*inputs.names})
     at, way = ([one.get(name) for name in (names[:3] if relaxed and not ended else names)] for one in (inputs, along))
     far, still = numpy.full_like(at[0], np.log(NO_END)), numpy.zeros_like(at[0])
     for name in ENDED if ended else ():
@@ -352,8 +354,4 @@ def _rank(lanes: Lanes) -> np.ndarray:
 
 def recursion_inputs(inputs: Inputs, relaxed: bool) -> tuple[Slider, Interface | None]:
     """Sliders and interfaces for the recursion."""
-    return sliders(inputs), _interface(inputs, relaxed)
-
-
-def _interface(inputs: Inputs, relaxed: bool) -> Interface | None:
-    return None if relaxed else Interface(inputs.prestress, inputs.threshold_slope)
+    return sliders(inputs), None if relaxed else inputs.interface

@@ -57,6 +57,8 @@ SPRUNG = f"k_n/k = 1 or 1.4, not {USUAL_NORMAL_STIFFNESS:g} (column normal_stiff
 """How the report calls these k_n/k."""
 SCATTER, MOST_SCATTER = 0.05, 0.29
 """How thresholds of contacts are tried to scatter; twice what is held, if more, and at most this."""
+KEPT = 0.1
+"""Share of their strength that contacts are tried to keep, beyond what is stated or held."""
 SERIES = 16
 """Series near a fit of sequences, over which what a change does to them is averaged."""
 MOST_STEPS = 25
@@ -109,7 +111,7 @@ def find_changes(result: "FitResult") -> list[Change]:
     if result.problem.emulates:
         every = [*_of_sequence(result)]
     else:
-        every = [*_of_inputs(result), *_of_ends(result), *_of_bodies(result)]
+        every = [*_of_inputs(result), *_of_ends(result), *_of_bodies(result), *_of_contacts(result)]
     return sorted((one for one in every if one.moves), key=lambda one: -_size(one, result))
 
 
@@ -133,10 +135,33 @@ def _of_sequence(result: "FitResult") -> Iterator[Change]:
         opposite = {one: -by[0] for one, by in moves.items()} if name in USUAL else {}
         yield Change(name, rows[name][0], moves, opposite, tried=SPRUNG[1:] if len(rows[name][1]) > 1 else ())
     scatter = min(max(SCATTER, 2 * q.inputs.at(result.theta).get("threshold_scatter")[0]), MOST_SCATTER)
-    problem, theta, deviance = followed_again(result, scattered(q.wanted, scatter))
-    off = theta - result.theta if problem.accepts(theta, deviance) else np.full(len(theta), np.nan)
     what = f"thresholds that scatter by {100 * scatter:.2g} % from contact to contact"
-    yield Change("threshold_scatter", what, {one: (float(off[q.index(one)]),) for one in result.moved})
+    yield _followed(result, "threshold_scatter", what, scattered(q.wanted, scatter))
+    if (more := _keeping_more(result)) is not None:
+        yield _followed(result, "residual_strength", *more)
+
+
+def _keeping_more(result: "FitResult") -> tuple[str, list[Parameter], Measurements] | None:
+    """Contacts that keep more of their strength: in words, parameters, table.
+
+    None where that is fitted, or no part of the model.
+    """
+    m, q = result.measurements, result.parameters
+    sloping = m.or_zero("threshold_slope").any() or "threshold_slope" in {*q.names, *q.held}
+    if sloping or "residual_strength" in q.names or "residual_strength" not in q.front.inputs:
+        return None
+    kept = np.minimum(q.held.get("residual_strength", m.or_zero("residual_strength")) + np.full(len(m), KEPT), 0.99)
+    what = f"contacts that keep {ends(np.round(100 * kept, 3))} % of their strength"
+    wanted = [one for one in q.wanted if one.name != "residual_strength"]
+    return what, wanted, dataclasses.replace(m, residual_strength=kept)
+
+
+def _followed(result: "FitResult", name: str, what: str, wanted: Sequence[Parameter], m: Measurements | None = None) -> Change:
+    """Fit sequences again, over the whole range."""
+    q = result.parameters
+    problem, theta, deviance = followed_again(result, wanted, m)
+    off = theta - result.theta if problem.accepts(theta, deviance) else np.full(len(theta), np.nan)
+    return Change(name, what, {one: (float(off[q.index(one)]),) for one in result.moved})
 
 
 def scattered(wanted: Iterable[Parameter], scatter: float) -> list[Parameter]:
@@ -144,9 +169,11 @@ def scattered(wanted: Iterable[Parameter], scatter: float) -> list[Parameter]:
     return [*(one for one in wanted if one.name != "threshold_scatter"), Parameter("threshold_scatter", value=float(scatter))]
 
 
-def followed_again(result: "FitResult", wanted: Sequence[Parameter]) -> tuple[Problem, np.ndarray, float]:
+def followed_again(
+    result: "FitResult", wanted: Sequence[Parameter], m: Measurements | None = None
+) -> tuple[Problem, np.ndarray, float]:
     """Fit sequences with other parameters: the problem, θ, and its deviance."""
-    m, error = result.measurements, result.request.get("model_error")
+    m, error = result.measurements if m is None else m, result.request.get("model_error")
     problem = make_problem(m, parameter_set(m, wanted, observables=result.parameters.observables))
     problem = learnt(problem, result.request["seed"], error, quick=True)
     theta = first_look(problem, 0)
@@ -378,7 +405,7 @@ def _of_ends(result: "FitResult") -> Iterator[Change]:
 
 
 def _of_bodies(result: "FitResult") -> Iterator[Change]:
-    """Another body or push for the same lengths, and thresholds that scatter."""
+    """Another body or push for the same lengths."""
     m, q = result.measurements, result.parameters
     stiff, unit = [name for name in result.moved if q.named(name).name in STIFFNESSES], f"_{m.unit[1]}" * m.in_si
     if not stiff:
@@ -415,13 +442,23 @@ def _of_bodies(result: "FitResult") -> Iterator[Change]:
             sprung = [dataclasses.replace(m, normal_stiffness=np.full(len(m), ratio)) for ratio in NORMAL]
             front = BlockEvent(*sprung, tried=True)
             yield _again(result, "normal_stiffness", SPRUNG[0], sprung, stiff, front=front, tried=SPRUNG[1:])
-    if q.front.event in ("domino", "full"):  # not studied for others
-        ends = tuple(-math.log1p(-share) for share in (0.6, 0.8))  # of the stiffness (docs/appendix/scatter.md)
-        what = "thresholds that scatter by 5 % between contacts (found for sliders of b = 0.3 to 3)"
-        yield Change("threshold", what, dict.fromkeys(stiff, ends))
     if block:
         wanted = [one for one in q.wanted if one.name not in ("push_height", "friction")]
         yield _again(result, "slider", "the paper's slider", [m], stiff, wanted=wanted, front=front_for("slider", "domino"))
+
+
+def _of_contacts(result: "FitResult") -> Iterator[Change]:
+    """Contacts that keep more, and thresholds that scatter."""
+    front = result.parameters.front
+    stiff = [name for name in result.moved if result.parameters.named(name).name in STIFFNESSES]
+    if stiff and (more := _keeping_more(result)) is not None:
+        what, wanted, keeping = more
+        body = BlockEvent(keeping, tried=True) if front.body == "block" else None
+        yield _again(result, "residual_strength", what, [keeping], result.moved, wanted=wanted, front=body)
+    if stiff and front.event in ("domino", "full"):  # not studied for others
+        ends = tuple(-math.log1p(-share) for share in (0.6, 0.8))  # of the stiffness (docs/appendix/scatter.md)
+        what = "thresholds that scatter by 5 % between contacts (found for sliders of b = 0.3 to 3)"
+        yield Change("threshold", what, dict.fromkeys(stiff, ends))
 
 
 # --- errors with those of inputs ------------------------------------------------------------------------------------------

@@ -25,6 +25,7 @@ def notes(result: "FitResult") -> list[str]:
     """Remarks to read before using the numbers, most about the data."""
     shown = shown_of(result, {})
     first = *_of_data(result, shown), *_of_sigma(result), *_of_pulls(result, shown), *_of_shape(result, shown)
+    first = *first, *_of_what_is_alike(result)
     return [*first, *result.suspicions, *_of_attainable(result), *result.main.notes(result), *_of_model(result)]
 
 
@@ -129,6 +130,19 @@ def _of_shape(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
             f"{this.symbol}: quote the 68 % interval {error_source(result)}, {text}, not ±; it reaches {by[0]:.2f} standard "
             f"errors below the value and {by[1]:.2f} above; {why}"
         )
+
+
+def _of_what_is_alike(result: "FitResult") -> Iterator[str]:
+    """Say how poorly prestress and what contacts keep are separated."""
+    names = result.parameters.names
+    if not {"prestress", "residual_strength"} <= {*names} or result.covariance is None:
+        return
+    both = [names.index(name) for name in ("prestress", "residual_strength")]
+    (own, common), (_, kept) = result.covariance[np.ix_(both, both)]
+    yield (
+        f"φ and r move these data alike (correlation {common / math.sqrt(own * kept):+.2f}): with φ known, r would have "
+        f"an error of {math.sqrt(kept - common**2 / own):.2g}, not {math.sqrt(kept):.2g}"
+    )
 
 
 def _of_attainable(result: "FitResult") -> Iterator[str]:

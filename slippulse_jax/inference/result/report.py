@@ -106,9 +106,24 @@ def methods(result: "FitResult") -> str:
     if given:
         said += ["The error of the model is not included."] * all(one.name != "model_factor" for one in q.free)
         said += [_prose(_of_real_block(change)) for change in result.changes if change.name == "block"]
+        said += [text for change in result.changes if change.name == "residual_strength" and (text := _of_kept(result, change))]
     if len(result.given) < len(result.names):
         said += map(_sentence, _verdicts(result, shown, reasons=False))
     return POWER.sub(lambda found: f" × 10{found[1].translate(DIGITS)}", " ".join(said)).replace("< 1 × 10", "< 10")
+
+
+def _of_kept(result: "FitResult", change: Change) -> str:
+    """State what contacts that keep more would move beyond its error."""
+    would = []
+    for name in result.given:
+        one, (by,) = result.parameters.named(name), change.moves.get(name, (0.0,))
+        error = (result.stderrs[name] or math.inf) / (result.values[name] if one.log else 1.0)
+        if math.isnan(by):
+            return f"With {change.what} as they break, the model would not describe these data."
+        if abs(by) > error:
+            moved = f"be {math.exp(by):.3g} times as large" if one.log else f"change by {by:+.2g}"
+            would.append(f"{one.symbol or one.name} would {moved}")
+    return f"With {change.what} as they break, {listed(would)}." if would else ""
 
 
 def _model(result: "FitResult") -> str:

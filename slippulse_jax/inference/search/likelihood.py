@@ -359,7 +359,7 @@ class Problem:
         """What of a problem is no number, and its numbers."""
         q, how, exact, front = self.parameters, [], [], self.parameters.front
         for every, own in self._together:
-            relaxed = not any(x.base.any() or x.slope.any() for x in (own.inputs.prestress, own.inputs.threshold_slope))
+            relaxed = own.inputs.relaxed
             options = own.observable.options(front, own, q.low, q.high)
             how.append((tuple(data.observable for data in every), front, relaxed, options))
             exact.append((own._replace(observable=None), tuple(data.reading() for data in every)))

@@ -24,6 +24,7 @@ from slippulse_jax.base.domains import (
     NORMAL_STIFFNESS,
     POISSON,
     PRESTRESS,
+    RESIDUAL_STRENGTH,
     THRESHOLD_SLOPE,
     YOUNG,
     Domain,
@@ -159,6 +160,8 @@ _ROWS = (
            usual=("E larger by 5 %", math.log(1.05), -math.log(1.05)), likely=Domain(0, 1.2e12, "above diamond's")),
     Column("prestress", "", "", PRESTRESS, "Known prestress φ = σ_0/σ_s, in (−1, 1)", symbols="φ phi"),
     Column("threshold_slope", "", "", THRESHOLD_SLOPE, "Known relative rise of the threshold per contact"),
+    Column("residual_strength", "", "", RESIDUAL_STRENGTH, "Known share r of its strength that a contact keeps when it breaks",
+           symbols="r"),
     Column("block_length", "mm", "λc", BLOCK_LENGTH, "Length of the block from its pushed edge to its free end; blank for a "
            "block without end. A front that ran through all of it has that length and the kind `at_least`",
            may_be_blank=True, symbols="L sample_length slider_length"),

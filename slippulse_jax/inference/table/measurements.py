@@ -140,6 +140,7 @@ class Measurements:
     kind: tuple[str, ...] = converted(converter=entries, default=())
     prestress: np.ndarray | None = converted(converter=numbers_or_none, default=None)
     threshold_slope: np.ndarray | None = converted(converter=numbers_or_none, default=None)
+    residual_strength: np.ndarray | None = converted(converter=numbers_or_none, default=None)
     block_length: np.ndarray | None = converted(converter=numbers_or_none, default=None)
     push_height: np.ndarray | None = converted(converter=numbers_or_none, default=None)
     push_width: np.ndarray | None = converted(converter=numbers_or_none, default=None)
