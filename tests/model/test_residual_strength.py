@@ -13,6 +13,7 @@ from slippulse_jax.base.status import Outcome
 from slippulse_jax.events.series import Adiabatic, Loading, load_through
 from slippulse_jax.exact.front import exact_fields, exact_front_stress
 from slippulse_jax.lengths import arrests
+from slippulse_jax.rules import SelfHealing
 
 FRONTS = {  # H/λc, b, ν, φ, ε, r; contacts broken and ℓ of an independent recursion
     (25, 1.95, 0.3, 0.0, 0.0, 0.1): (24, 23.016549759),
@@ -341,7 +342,7 @@ def test_inertia():
     """Slow breaks give the quasi-static rupture; energy balances; a crack has its own friction."""
     chain = sp.chain(sp.Slider(8.0, 0.1, 0.3), sites=20, interface=sp.Interface(0.1, 0.0, 0.3))
     still = sp.rupture(chain)
-    moved = sp.simulate_inertial(chain, duration=4000, damping=0.5, rule=sp.SelfHealing(150.0))
+    moved = sp.simulate_inertial(chain, duration=4000, damping=0.5, rule=SelfHealing(150.0))
     assert moved.status == Outcome.ARRESTED
     assert moved.extent == still.extent
     assert moved.state.pinning == pytest.approx(np.asarray(still.state.pinning), abs=1e-6)
