@@ -67,7 +67,7 @@ EQUIVALENT: dict[tuple[str, str], str] = {
     ): "of one element, JAX takes the last",
     (
         "front/front",
-        "threshold, prestress = contact_at(modes, contacts, since * 1)",
+        "threshold, prestress = contact_at(modes, contacts, max(since * 1, 0))",
     ): "beyond its last site a profile stays as it is there",
     (
         "inference/search/likelihood",

@@ -361,13 +361,8 @@ def sliders(inputs: Inputs, exp: Any = np.exp) -> Slider:
 
 def numbers_of(inputs: Inputs) -> Float[np.ndarray, "5 L"]:
     """H/λc, k/K, ν, φ, ε, as of contacts that keep nothing."""
-    return np.stack([np.exp(inputs.log_height), inputs.ratio, inputs.poisson, equivalent_prestress(inputs), inputs[4]])
-
-
-def equivalent_prestress(inputs: Inputs) -> np.ndarray:
-    """(φ − r)/(1 − r), on which lengths under level thresholds depend."""
-    kept = inputs.more.get("residual_strength", 0.0)
-    return (inputs.prestress - kept) / (1 - kept)
+    prestress = inputs.interface.equivalent_prestress
+    return np.stack([np.exp(inputs.log_height), inputs.ratio, inputs.poisson, prestress, inputs.threshold_slope])
 
 
 @jax.jit
