@@ -157,7 +157,10 @@ def jet_kernel(most: int, right: RightEnd = "semi-infinite") -> Kernel:
 
 
 def _by_name(numbers: Any) -> dict[str, Number]:
-    """Numbers of a lane after the first three; even in number, they have r."""
+    """Numbers of a lane after the first three.
+
+    r is among them where a lane has an even number.
+    """
     names = ("prestress", "threshold_slope", *["residual_strength"] * (len(numbers) % 2 == 0), "sites", "machine")
     return dict(zip(names, numbers[3:], strict=False))
 
