@@ -105,7 +105,7 @@ def macroscopic_length(b: Any, poisson: Any, *, prestress: Any = 0.0, residual_s
     numbers = _numbers(**given)
     inside = functools.reduce(operator.and_, (domain.holds(x) for domain, x in zip(_DOMAIN.values(), numbers, strict=True)))
     b, nu, phi, kept = jnp.broadcast_arrays(*numbers)
-    return _macroscopic(b, nu, jnp.where(inside, (phi - kept) / (1 - kept), jnp.nan))
+    return _macroscopic(b, nu, (phi - kept) / (1 - kept) * jnp.where(inside, 1, jnp.nan))  # so that its slope is NaN too
 
 
 @jax.jit

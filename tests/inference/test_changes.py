@@ -70,6 +70,8 @@ def changed(table, result, change):  # noqa: C901 (a case for each kind of row)
     if change.name == "pressure":
         tried = PRESSED if m.friction is None else (0.0,)
         return [(given(friction=mu, drop=["friction_sigma"]), {}) for mu in tried]
+    if change.name == "residual_strength":
+        return [(given(residual_strength=0.1), {})]
     if change.name == "normal_stiffness":
         return [(given(normal_stiffness=ratio), {}) for ratio in NORMAL]
     assert change.name == "slider"

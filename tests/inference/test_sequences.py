@@ -173,7 +173,9 @@ def test_series_followed_are_those_of_the_package(ageing, scatter):
         threshold = 1 + scatter * np.asarray(jax.random.normal(jax.random.key(0), (SITES,)))[: block.sites]
     interface = sp.Profile(threshold=threshold, prestress=np.zeros(block.sites)) if scatter else None
     found = sp.series(block, events=512, ageing=ageing, interface=interface)
-    numbers = dict(zip((*GEOMETRY, *CONTACTS), (0.3, np.log(3), np.log(AT), np.log(WIDE), np.log(1.2)), strict=False))
+    numbers = dict(zip(GEOMETRY, (0.3, np.log(3), np.log(AT), np.log(WIDE), np.log(1.2)), strict=True)) | dict.fromkeys(
+        CONTACTS, 0.0
+    )
     numbers |= {"log_b": np.log(0.7), "friction": 0.3, "prestress": 0.0, "log_machine": np.inf, "newborn": 1.0, "log_time": 0.0}
     numbers["threshold_scatter"] = scatter
     if ageing is not None:
