@@ -66,7 +66,8 @@ def with_friction(body: Relaxed, friction: Array) -> Relaxed:
     """Rescale contacts from a coefficient of friction of 1 to `friction`."""
     if body.pressed is not None:
         return body._replace(pressed=body.pressed._replace(friction=friction))
-    matrix, push = (x.at[..., 1:, :].multiply(friction) for x in (body.response.matrix, body.response.push))
+    of_reading = jnp.ones_like(body.response.push[:, :1]).at[1:].set(friction)
+    matrix, push = (x * of_reading for x in (body.response.matrix, body.response.push))
     return body._replace(response=body.response._replace(matrix=matrix, push=push))
 
 

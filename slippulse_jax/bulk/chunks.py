@@ -103,8 +103,13 @@ def over_lanes(kernel: Kernel, lanes: Lanes, layout: Layout = DEFAULT_LAYOUT, ra
         with jax.enable_x64(True), jax.default_device(devices[device]):  # settings of the thread
             values = programs[device](padded, np.int64(chunks))
         for result, value in zip(results, values, strict=True):
+            rows, every = result.reshape(-1, count), np.asarray(value).reshape(-1, padded.shape[1])
+            if len(rows) > size:  # of few lanes that return much
+                for lane, own in enumerate(order.tolist()):
+                    rows[:, where.start + own * hands] = every[:, lane]
+                continue
             # row by row: NumPy scatters several dimensions far more slowly
-            for row, found in zip(result.reshape(-1, count), np.asarray(value).reshape(-1, padded.shape[1]), strict=True):
+            for row, found in zip(rows, every, strict=True):
                 back = np.empty(size, row.dtype)
                 back[order] = found[:size]
                 row[where] = back

@@ -197,6 +197,21 @@ def test_series_followed_are_those_of_the_package(ageing, scatter):
     assert (float(length[0]), float(force[0])) == pytest.approx((far[jump], got.force[0, jump]))
 
 
+@pytest.mark.ci
+def test_series_that_share_a_response_are_those_of_each_alone():
+    """In any order, of several stiffnesses on several blocks, to the bit."""
+    random = np.random.default_rng(0)
+    geometry = np.array([[0.3, np.log(n), np.log(AT), np.log(WIDE), np.log(1.2)] for n in random.choice([1.0, 1.5], 40)])
+    contacts = np.zeros((40, len(CONTACTS)))
+    contacts[:, 0], contacts[:, 1], contacts[:, 2] = random.choice([-0.2, 0.1, 0.3], 40), random.uniform(0.2, 0.4, 40), 0.05
+    contacts[:, 3], contacts[:, 4], contacts[:, 7] = random.choice([np.inf, 0.0], 40), 1, random.choice([0.0, 0.3], 40)
+    every = followed(geometry, contacts, 16.0)
+    for i in (0, 7, 23, 39):
+        alone = followed(geometry[i : i + 1], contacts[i : i + 1], 16.0)
+        for column, other in zip(every, alone, strict=True):
+            np.testing.assert_array_equal(column[i, : other.shape[1]], other[0])
+
+
 def test_an_emulator_is_smooth_and_knows_its_scatter():
     """Values without scatter; two that scatter together; and contacts of two sizes, continued to none."""
     random, place = np.random.default_rng(3), np.tile(np.linspace(0.1, 0.2, 4), (200, 1))

@@ -19,18 +19,18 @@ from scipy.special import ndtr
 
 from slippulse_jax.base.status import Outcome
 from slippulse_jax.block import RIGID, USUAL_NORMAL_STIFFNESS, Block, Push, Top
-from slippulse_jax.blocks.event import contacts_of, unattached
+from slippulse_jax.blocks.event import contacts_of, unattached, with_friction
 from slippulse_jax.blocks.size import ONE_BY_ONE
 from slippulse_jax.bulk.chunks import Kernel, distinct_rows, over_lanes
 from slippulse_jax.events.ageing import Ageing
 from slippulse_jax.events.event import BREAKS_PER_SITE
+from slippulse_jax.events.first import Relaxed
 from slippulse_jax.events.series import Adiabatic, Loading, load_through
 from slippulse_jax.inference.model.block import BlockEvent
 from slippulse_jax.inference.model.front import IMPROBABLE, SCATTERED
 from slippulse_jax.inference.model.inputs import COMMON, Input, Inputs
 from slippulse_jax.inference.model.slider import FirstFront
 from slippulse_jax.inference.table.measurements import Measurements
-from slippulse_jax.interface import Interface
 
 SITES = 128
 """Most contacts of a block whose series is followed."""
@@ -38,8 +38,8 @@ COARSER = 80
 """Contacts of every other series of a block that has more than `SITES`."""
 EVENTS = 16 * SITES
 """Most events of a series; a front that creeps by single contacts has one for each, of contacts that keep much several."""
-TOGETHER = 8
-"""Series of one geometry that are followed by one lane."""
+TOGETHER = 16
+"""Series of one geometry that are followed by one lane; those of one b after one another, on one response."""
 GEOMETRY = ("poisson", "log_ratio", "log_push", "log_push_width", "log_normal_stiffness")
 """What the elastic block is: ν, and the logarithms of L/H, h/H, w/H and k_n/k."""
 CONTACTS = ("log_b", "friction", "prestress", "log_machine", "newborn", "log_time", "threshold_scatter", "residual_strength")
@@ -121,7 +121,8 @@ def followed(
     blocks, own = distinct_rows(geometry)
     scattered = bool(contacts[:, CONTACTS.index("threshold_scatter")].any())
     contacts = np.column_stack([contacts, first + np.arange(len(contacts))])
-    groups = [np.flatnonzero(own == i) for i in range(len(blocks))]
+    order = np.argsort(contacts[:, 0], kind="stable")
+    groups = [order[own[order] == i] for i in range(len(blocks))]
     parts = [rows[start : start + TOGETHER] for rows in groups for start in range(0, len(rows), TOGETHER)]
     lanes = np.empty((len(parts), geometry.shape[1] + TOGETHER * contacts.shape[1]))
     for lane, rows in zip(lanes, parts, strict=True):
@@ -145,16 +146,21 @@ def _series(aged: bool, wide: bool, scattered: bool, top: Top) -> Kernel:
         tall = sites / ratio
         push, per_b = Push(height, width if wide else None), 1 / (2 * (1 + poisson) * tall)
 
-        def block(contacts: Array) -> Block:
-            b, friction, machine = jnp.exp(contacts[0]), contacts[1], jnp.minimum(jnp.exp(contacts[3]), 1e12)
+        def block(log_b: Array) -> Block:
             length = sites.astype(jnp.int32)
-            return Block(tall, b * per_b, poisson, push, "stress", length, normal, friction, "amontons", top, machine)
+            return Block(tall, jnp.exp(log_b) * per_b, poisson, push, "stress", length, normal, 1.0, "amontons", top)
+
+        def of_b(log_b: Array) -> tuple[Array, Relaxed]:
+            return log_b, contacts_of(block(log_b), None, SITES, bare)
 
         points = numbers[len(GEOMETRY) + 1 :].reshape(TOGETHER, len(CONTACTS) + 1)
-        bare = unattached(block(points[0]))
+        bare = unattached(block(points[0, 0]))
 
-        def one(contacts: Array) -> tuple[Array, ...]:
-            body = contacts_of(block(contacts), Interface(contacts[2], 0.0, contacts[7]), SITES, bare)
+        def one(known: tuple[Array, Relaxed], contacts: Array) -> tuple[tuple[Array, Relaxed], tuple[Array, ...]]:
+            known = lax.cond(contacts[0] == known[0], lambda: known, lambda: of_b(contacts[0]))
+            body, machine = with_friction(known[1], contacts[1]), jnp.minimum(jnp.exp(contacts[3]), 1e12)
+            prestress = jnp.broadcast_to(contacts[2], body.prestress.shape)
+            body = body._replace(prestress=prestress, residual_strength=contacts[7]).through(machine)
             if scattered:
                 drawn = jax.random.normal(jax.random.key(contacts[8].astype(jnp.int32)), (SITES,), body.threshold.dtype)
                 threshold = body.threshold * jnp.maximum(1 + contacts[6] * drawn, WEAKEST)
@@ -169,9 +175,10 @@ def _series(aged: bool, wide: bool, scattered: bool, top: Top) -> Kernel:
             reached = lax.cummax(jnp.where(event < end.number, length, jnp.inf)) / sites
             force = jnp.where(event < end.number, force / (body.stiffness * sites), jnp.nan)
             load, begin, farthest = (end.rows[name][:-1] for name in ("load", "leftmost", "extent"))
-            return reached, force, load, begin / sites, farthest / sites
+            return known, (reached, force, load, begin / sites, farthest / sites)
 
-        return tuple(column[..., None] for column in lax.map(one, points))
+        _, empty = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(of_b, points[0, 0]))
+        return tuple(column[..., None] for column in lax.scan(one, (jnp.full((), jnp.nan), empty), points)[1])
 
     return of_lane
 

@@ -7,7 +7,7 @@ which a slope would be that of single orders of breaks. Last, profiles are follo
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import Any, Literal
 
@@ -50,6 +50,8 @@ PROMISING, MOST_PROMISING = 15.0, 3
 """Deviance of a point by itself, above the least, up to which its surroundings are followed; and of how many in each round."""
 OF_BLOCK = {*GEOMETRY, "log_height", "log_sites"}
 """Inputs on which the elastic block depends."""
+SHARED = 3
+"""Points of a cloud whose stiffness is made one, so that they share a response."""
 OUTWARDS, STEPS = 12, 3.0
 """Most rounds in which a profile is followed outwards, and how far each goes, in half-widths."""
 RISEN = 2.0
@@ -71,7 +73,7 @@ def learnt(problem: Problem, seed: int, model_error: float | str | None = None, 
         problem = followed(problem, _within(q, more, units))
     problem = emulated(_evolved(problem, units, random))
     for most, radius in zip(basins, RADIUS, strict=False):
-        ends = [_minimum(problem, start, units) for start in _starts(problem, units, most)]
+        ends = _minima(problem, np.array(_starts(problem, units, most)), units)
         more = [_cloud(q, end, covariance, radius, units, random) for end, covariance in ends]
         more += [_cloud(q, start, np.diag(units**2), 2.0, units, random) for start in _promising(problem, units)]
         problem = emulated(followed(problem, np.concatenate(more)))
@@ -115,7 +117,7 @@ def _promising(problem: Problem, units: np.ndarray) -> list[np.ndarray]:
     """The best points, by themselves, where an emulator knows nothing."""
     theta, deviance = problem.points.theta, 2 * single(problem)[0]
     order = np.argsort(deviance, kind="stable")
-    unknown = ~np.isfinite(problem(theta).value) & (deviance < deviance[order[0]] + PROMISING)
+    unknown = ~np.isfinite(problem.of_points) & (deviance < deviance[order[0]] + PROMISING)
     return _apart(theta[order[unknown[order]]], units, MOST_PROMISING)
 
 
@@ -242,7 +244,7 @@ def _ranked(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     """
     deviance = 2 * single(problem)[0]
     if problem.emulator is not None:
-        smooth = 2 * problem(problem.points.theta).value
+        smooth = 2 * problem.of_points
         known = np.isfinite(smooth) & np.isfinite(deviance)
         above = np.min(smooth, initial=np.inf, where=known) - np.min(deviance)  # of errors of another size
         deviance = np.where(known, smooth, deviance + (above if known.any() else 0.0))
@@ -306,18 +308,18 @@ def _apart(theta: np.ndarray, units: np.ndarray, most: int) -> list[np.ndarray]:
     return chosen
 
 
-def _minimum(problem: Problem, start: np.ndarray, units: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Minimum near a start, and its covariance.
+def _minima(problem: Problem, starts: np.ndarray, units: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Minima near starts, and their covariances.
 
-    Its errors are no larger than a cloud may be wide.
+    Their errors are no larger than a cloud may be wide.
     """
     q, reach = problem.parameters, FARTHEST * units
-    box = np.maximum(q.low, start - reach), np.minimum(q.high, start + reach)
-    theta = minimise(problem, start[None], *box, max_steps=20).theta[0]
-    covariance = describe(problem, theta, 0.0).covariance
-    scale = np.sqrt(np.diag(covariance))
-    most = np.minimum(scale, np.maximum(FARTHEST / 3 * units, (q.high - q.low) / 12))
-    return theta, covariance * np.outer(most / scale, most / scale)
+    box = np.maximum(q.low, starts - reach), np.minimum(q.high, starts + reach)
+    for theta in minimise(problem, starts, *box, max_steps=20).theta:
+        covariance = describe(problem, theta, 0.0).covariance
+        scale = np.sqrt(np.diag(covariance))
+        most = np.minimum(scale, np.maximum(FARTHEST / 3 * units, (q.high - q.low) / 12))
+        yield theta, covariance * np.outer(most / scale, most / scale)
 
 
 def _evolved(problem: Problem, units: np.ndarray, random: np.random.Generator) -> Problem:
@@ -381,10 +383,18 @@ def _cloud(
 
 
 def _within(q: ParameterSet, theta: np.ndarray, units: np.ndarray) -> np.ndarray:
-    """Points in the range searched, on few elastic blocks.
+    """Points in the range searched, on few elastic blocks and few stiffnesses.
 
-    These differ by whole units: the response of one takes as long as many series on it.
+    A block's response takes as long as many series on it, that of one more stiffness as several: blocks differ by whole units,
+    and stiffnesses of `SHARED` neighbours on contacts of one size (`BlockSeries.sites`) are made one.
     """
-    of_block = np.array([bool(OF_BLOCK & PARAMETERS[one.name].acts.keys()) for one in q.free])
+    of_block, of_contacts = (
+        np.array([bool(names & PARAMETERS[one.name].acts.keys()) for one in q.free]) for names in (OF_BLOCK, {"log_stiffness"})
+    )
     middle = (q.low + q.high) / 2
-    return np.clip(np.where(of_block, middle + np.round((theta - middle) / units) * units, theta), q.low, q.high)
+    theta = np.where(of_block, middle + np.round((theta - middle) / units) * units, theta)
+    for j in np.flatnonzero(of_contacts & ~of_block):
+        order = np.lexsort([theta[:, j], np.arange(len(theta)) % 2])
+        for rows in np.split(order, range(SHARED, len(order), SHARED)):
+            theta[rows, j] = theta[rows, j].mean()
+    return np.clip(theta, q.low, q.high)

@@ -391,6 +391,11 @@ class Problem:
                 curvature = curvature + np.matmul(across * bend[:, None, :], first) + np.einsum("bn,bnpq->bpq", slope, second)
         return Evaluation(*(value, gradient, metric, curvature)[: (1, 3, 4)[order]])
 
+    @cached_property
+    def of_points(self) -> np.ndarray:
+        """−ln(likelihood × prior) by the emulator at the points at which the model was followed."""
+        return self(self.points.theta).value
+
     @property
     def learnt(self) -> list[Observations]:
         """Data that an emulator predicts."""
