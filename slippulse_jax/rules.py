@@ -110,16 +110,22 @@ class SmoothBreak(BreakRule):
     def overloaded_length(self, before: Array, after: Array, threshold_before: Array, threshold_after: Array) -> Array:
         """Integral ∫ p(t(x)) dx from one contact to the next, in λc.
 
-        t and t − θ are linear in between.
+        t and t − θ are linear in between; where t is negative nothing breaks.
 
         As w → 0, the length over which the stress exceeds the threshold. Without the cut-off at zero it is
         [S(b) − S(a)]/(b − a), with S(x) = ln(1 + e^x) and a, b = (t − θ)/w at the two ends.
         """
         w = jnp.asarray(self.width)
-        a, b = (before - threshold_before) / w, (after - threshold_after) / w
+        # from there, or up to there, the stress is positive
+        falls, rises = (before > 0) & (after < 0), (before < 0) & (after > 0)
+        share = jnp.where(falls | rises, before / jnp.where(before == after, 1, before - after), 1)
+        crossed = threshold_before + share * (threshold_after - threshold_before)
+        start, end = jnp.where(rises, crossed, threshold_before), jnp.where(falls, crossed, threshold_after)
+        pulled = jnp.where(rises, 1 - share, jnp.where((before > 0) | (after > 0), share, 0))
+        a, b = (jnp.maximum(before, 0) - start) / w, (jnp.maximum(after, 0) - end) / w
         # the junctions with thresholds below zero that the logistic law would count, and its normalisation
-        cut = _mean_sigmoid(-threshold_before / w, -threshold_after / w)
-        return (_mean_sigmoid(a, b) - cut) / (1 - cut)
+        cut = _mean_sigmoid(-start / w, -end / w)
+        return pulled * (_mean_sigmoid(a, b) - cut) / (1 - cut)
 
 
 class SelfHealing(eqx.Module):

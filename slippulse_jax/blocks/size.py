@@ -65,8 +65,8 @@ class NotFollowed(ValueError):
 
     def __init__(self, body: Any, why: str) -> None:
         super().__init__(
-            f"the event of {body} {why}, farther than can be followed; under a prestress of half the threshold or more, "
-            "or on falling thresholds, it may never stop"
+            f"the event of {body} {why}, farther than can be followed; under a prestress of half the threshold or more "
+            "(of contacts that keep r of it, (1 + r)/2), or on falling thresholds, it may never stop"
         )
 
 
@@ -253,7 +253,7 @@ def _views(body: Body, kind: EventKind) -> Float[np.ndarray, "4 n"]:
 
     Ever finer contacts lengthen an event, near run-away without bound: one that stops on coarse contacts may never stop on
     finer ones. So its lengths on contacts of two sizes must be alike. Far from the edge the stress on the contact ahead tends
-    to 2φ/(1 + R_ii), R_ii > 0: without a prestress of half the threshold, or falling thresholds, every front stops.
+    to 2φ/(1 + R_ii), R_ii > 0: without an equivalent prestress of half the threshold, or falling thresholds, every front stops.
     """
     block, interface = body
     tall = np.asarray(block.height, float)

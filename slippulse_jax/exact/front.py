@@ -173,8 +173,8 @@ def exact_fields(slider: Slider, s: AnyArrayLike, site: AnyArrayLike, interface:
 
     Notes
     -----
-    The stress behind the front is what the later breaks have put back on a contact repinned at zero stretch, a sum in closed
-    form (`slippulse_jax.exact.double_series.fields`).
+    The stress behind the front is what the later breaks have put back on a contact that repinned, a sum in closed form
+    (`slippulse_jax.exact.double_series.fields`).
     """
     check_endless("exact_fields", slider)
     for name, value in (("s", s), ("site", site)):
@@ -209,16 +209,18 @@ def uniform(interface: Interface | None) -> tuple[AnyArrayLike, AnyArrayLike]:
             f"interface = {type(interface).__name__}(…): the closed form holds for an Interface, whose prestress is uniform; "
             "use precursor_length or first_precursor"
         )
-    slope = interface.threshold_slope
-    if interface.residual_strength is None:
-        return interface.prestress, slope
+    slope, kept = interface.threshold_slope, interface.residual_strength
+    prestress = interface.prestress if kept is None else interface.equivalent_prestress
+    if isinstance(prestress, Tracer):  # which may be any number below 1 where contacts keep something
+        prestress = jnp.where(interface.in_domain(), prestress, jnp.nan)
+    if kept is None:
+        return prestress, slope
     if isinstance(slope, Tracer) or np.any(np.asarray(slope) != 0):
         raise ValueError(
             f"Interface.threshold_slope = {short(slope)} beside residual_strength: the closed form has one of the two; "
             "use precursor_length or first_precursor"
         )
-    inside, prestress = interface.in_domain(), interface.equivalent_prestress
-    return (jnp.where(inside, prestress, jnp.nan) if isinstance(inside, Tracer) else prestress), 0.0
+    return prestress, 0.0
 
 
 def _contacts(interface: Interface | None) -> tuple[AnyArrayLike, ...]:

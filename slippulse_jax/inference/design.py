@@ -469,6 +469,8 @@ def design(
         return _ranked(known, table, [*candidates], None, every, nowhere, experiments, seed)
     if height is None or sigma is None:
         raise ValueError("design: give candidates, or height and sigma")
+    if "residual_strength" in knowledge.more:
+        raise ValueError("design: contacts keep a share of their strength, which only candidates that are tables take")
     table, m = _candidates(given)
     body = "slider" if push_height is None else "block"
     _check_body(knowledge, body, m)

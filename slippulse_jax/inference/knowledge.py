@@ -234,6 +234,11 @@ class Knowledge:
             spread = np.linalg.pinv(np.linalg.pinv(result.covariance)[np.ix_(others, others)])  # of these at one stiffness
             about = about + np.random.default_rng(0).multivariate_normal(0 * about[0], spread, len(theta), method="eigh")
         more = {q.names[i]: np.clip(about[:, k], q.low[i], q.high[i]) for k, i in enumerate(others)}
+        held = np.unique(q.inputs.at(result.theta).more.get("residual_strength", 0.0))
+        if "residual_strength" not in more and held.any():  # stated, or held
+            if held.size > 1:
+                raise ValueError("the fit has several values of residual_strength: designs take one for all contacts")
+            more["residual_strength"] = np.full(len(theta), held[0])
         known = cls(
             theta, density * np.gradient(theta), _roots(density), result.measurements.in_si, event, front.body, more=more
         )

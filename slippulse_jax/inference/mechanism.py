@@ -43,7 +43,8 @@ class Mechanism:
             return "a self-healing front: a crack-like one is rejected"
         if pulse:
             return "a crack-like front: a self-healing one is rejected"
-        if self.pulse.measurements.gauges is None:
+        freed = {"residual_strength"} <= {*self.pulse.names} and {"friction"} <= {*self.crack.names}
+        if freed and all(data.observable.of_rows for data in self.pulse.problem.observed):
             return (
                 "lengths alone cannot separate a pulse from a crack, each with the stress that it leaves free; gauges behind "
                 "the tip can"
@@ -107,8 +108,8 @@ def pulse_or_crack(
         raise ValueError("event = 'crack': both fronts are fitted; 'domino' or 'full' says what the pulse's lengths are")
     options = {"intervals": "profile", "body": "slider", **options}  # none is looked at here
     wanted = wanted_parameters(measurements, free, options.pop("bounds", None), options.pop("fixed", None))
-    names = {one.name for one in wanted}
-    alike = {"prestress", "threshold_slope"} & names or measurements.or_zero("threshold_slope").any()
+    names, fitted = {one.name for one in wanted}, {one.name for one in wanted if one.value is None}
+    alike = "prestress" in fitted or "threshold_slope" in names or measurements.or_zero("threshold_slope").any()
     kept = [] if alike or "residual_strength" in names else [Parameter("residual_strength")]
     friction = [] if "friction" in names else [Parameter("friction")]
     pulse = fit(measurements, [*(one for one in wanted if one.name != "friction"), *kept], seed=seed, **options)

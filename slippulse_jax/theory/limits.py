@@ -45,7 +45,7 @@ def runaway_prestress(slider: Slider, residual_strength: Any = 0.0) -> Float[Arr
     """
     RESIDUAL_STRENGTH.check("residual_strength", residual_strength)
     (kept,) = _numbers(residual_strength=residual_strength)
-    return kept + (1 - kept) * _runaway(slider)
+    return jnp.where(RESIDUAL_STRENGTH.holds(kept), kept + (1 - kept) * _runaway(slider), jnp.nan)
 
 
 @jax.jit
@@ -195,7 +195,8 @@ def macroscopic_correction(b: Any, poisson: Any) -> Float[Array, "..."]:
 def macroscopic_edge_stress(b: Any) -> Float[Array, "..."]:
     """Stress on contact 0 behind a front (λc → 0), in σ_s.
 
-    At fixed b. Neither ν nor a uniform prestress enters.
+    At fixed b, of contacts that keep nothing; E becomes r + (1 − r) E of those that keep r. Neither ν nor a uniform prestress
+    enters.
 
     Parameters
     ----------

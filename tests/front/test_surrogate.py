@@ -62,10 +62,11 @@ def test_fraction_broken_is_the_distribution_it_says():
             np.testing.assert_allclose(rule.broken(jnp.asarray(t), jnp.asarray(theta)), expected, rtol=1e-8)
         assert rule.broken(jnp.asarray(-0.5), jnp.asarray(theta)) == 0
         # and the length between two contacts is its integral along the straight line
-        for a, b in [(0.2, 1.4), (1.1, 1.1), (1.2, 1.2 + 1e-9), (1.3, 0.1)]:
-            xs = np.polynomial.legendre.leggauss(60)
-            inside = rule.broken(jnp.asarray(a + (b - a) * (xs[0] + 1) / 2), jnp.asarray(theta)[None])
-            line = xs[1] @ np.asarray(inside) / 2
+        for a, b in [(0.2, 1.4), (1.1, 1.1), (1.2, 1.2 + 1e-9), (1.3, 0.1), (1.3, -0.4), (-0.3, 0.9), (-0.2, -0.1)]:
+            xs, ends = np.polynomial.legendre.leggauss(60), np.clip([a, b], 0, None)  # nothing breaks where it is not pulled
+            inside = rule.broken(jnp.asarray(ends[0] + (ends[1] - ends[0]) * (xs[0] + 1) / 2), jnp.asarray(theta)[None])
+            share = (ends[1] - ends[0]) / (b - a) if a != b else 1.0
+            line = share * (xs[1] @ np.asarray(inside)) / 2
             found = rule.overloaded_length(*map(jnp.asarray, (a, b, theta, theta)))
             np.testing.assert_allclose(found, line, rtol=1e-7)
 

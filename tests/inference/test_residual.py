@@ -1,5 +1,6 @@
 """What contacts keep, in fits: values and errors of independent programs, derivatives, refusals, words."""
 
+import dataclasses
 from pathlib import Path
 
 import jax
@@ -186,10 +187,34 @@ def test_refusals():
         sp.fit(six(residual_strength=np.full(6, 0.1)), ["stiffness", "friction"], event="crack")
     with pytest.raises(ValueError, match=r"residual_strength.*must lie in \[0, 1\)"):
         six(residual_strength=np.full(6, 1.0))
-    with pytest.raises(ValueError, match=r"residual_strength = 1 means r = 1 .*must lie in \[0, 1\)"):
+    with pytest.raises(ValueError, match=r"residual_strength = 1 means r = 1 .*must lie in \[0, 0.999\)"):
         sp.fit(m, fixed={"residual_strength": 1.0})
     with pytest.raises(ValueError, match="takes contacts that lose everything"):
         sp.recover_profile(six(residual_strength=np.full(6, 0.1)), stiffness=5e-4)
+    places = sp.read_measurements(TABLES / "residual_places.csv")
+    with pytest.raises(ValueError, match=r"newborn = 0.4: a new contact is weaker than the share 0.5 of its strength"):
+        sp.fit(places, ["stiffness", "friction"], fixed={"residual_strength": 0.5, "newborn": 0.4})
+
+
+@pytest.mark.parametrize("how", [{"fixed": {"residual_strength": 0.2}}, {"free": BOTH}])
+def test_designs_take_what_contacts_keep_from_tables_alone(how):
+    """Held, or fitted; and a table that does not state it has it from the fit."""
+    known = sp.Knowledge.from_fit(sp.fit(six(), **how))
+    assert known.more["residual_strength"] @ known.weight == pytest.approx(0.2, abs=0.05)
+    with pytest.raises(ValueError, match="only candidates that are tables take"):
+        sp.design(known, height=[100.0, 200.0], sigma=1.0)
+    assert np.isfinite(sp.design(known, {"again": six()}).information).all()
+
+
+def test_what_lengths_cannot_tell_is_not_suggested():
+    """A prestress instead of what contacts keep, not beside it."""
+    pulled = six()
+    length = np.asarray(sp.precursor_length(sp.Slider(HEIGHTS, 0.3 / 520, 0.3), sp.Interface(0.4)))
+    found = sp.fit(dataclasses.replace(pulled, length=length, length_sigma=0.01 * length), BOTH)
+    assert found.identifiability is Identifiability.POOR_FIT
+    report = found.report()
+    assert 'free=["stiffness", "prestress"]' in report
+    assert '"residual_strength", "prestress"' not in report
 
 
 @pytest.mark.ci

@@ -337,6 +337,15 @@ def test_smooth_rule_of_blocks():
     assert slope(0.4) == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-5)
 
 
+@pytest.mark.parametrize(("width", "kept"), [(0.15, 0.6), (0.1, 0.3)])
+def test_a_smooth_rupture_is_as_long_as_its_front(width, kept):
+    """Contacts far ahead, whose stress is below what they keep, add nothing."""
+    slider, rule = sp.Slider(20.0, 0.02, 0.3), sp.SmoothBreak(width)
+    moved = sp.rupture(sp.chain(slider, sites=100, residual_strength=kept), rule=rule)
+    front = sp.precursor_length(slider, sp.Interface(residual_strength=kept), rule=rule)
+    assert float(moved.length) == pytest.approx(float(front), rel=1e-12)
+
+
 @pytest.mark.ci
 def test_inertia():
     """Slow breaks give the quasi-static rupture; energy balances; a crack has its own friction."""
@@ -396,6 +405,11 @@ def test_traced_out_of_its_domain():
         assert np.isfinite(f(0.5))
         assert np.isnan(f(1.5))
         assert np.isnan(f(-0.5))
+    assert np.isnan(jax.jit(lambda r: sp.theory.runaway_prestress(SLIDER, r))(1.5))
+    for r in (None, 0.3):
+        of_prestress = jax.jit(lambda phi, r=r: sp.exact_length(SLIDER, sp.Interface(phi, residual_strength=r)))
+        assert np.isnan(of_prestress(-2.0))
+        assert np.isfinite(of_prestress(-0.5))
     aged = jax.jit(lambda r: sp.series(chain_of(r), events=2, ageing=sp.Ageing(0.4, 1.0)).status)
     assert aged(0.2) != Outcome.INVALID
     assert aged(0.5) == Outcome.INVALID

@@ -37,7 +37,7 @@ class CrackFront(Front):
             raise ValueError("event = 'crack': friction is neither fitted nor held; in σ_s, as fixed = {'friction': 0.3}")
         if "threshold_slope" in names:
             raise ValueError("parameter threshold_slope: a crack-like front has a closed form on level thresholds only")
-        if m.residual_strength is not None:
+        if m.or_zero("residual_strength").any():
             raise ValueError(f"{m.source}: event = 'crack': contacts carry their friction: leave out residual_strength")
         if m.block_length is not None or m.machine_stiffness is not None:
             raise ValueError("event = 'crack': for a block without end, whose edge is held")

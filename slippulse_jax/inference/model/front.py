@@ -104,7 +104,7 @@ class Front:
     def length(self, inputs: Inputs, relaxed: bool) -> Array:
         """Length of one lane in λc, a JAX function.
 
-        With derivatives in forward mode. `relaxed` says that prestress and slope are zero for certain.
+        With derivatives in forward mode. `relaxed` says that prestress, slope and what contacts keep are zero for certain.
         """
         return self._from_table(inputs)
 

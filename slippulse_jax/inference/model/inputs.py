@@ -35,7 +35,7 @@ COMMON = {
     "threshold_slope": Input("ε", THRESHOLD_SLOPE.low, THRESHOLD_SLOPE.high, THRESHOLD_SLOPE.requirement, 5e-6),
 }
 """Inputs of every model."""
-KEPT = Input("r", RESIDUAL_STRENGTH.low, 0.999, RESIDUAL_STRENGTH.requirement, 1e-4, (0.0, 0.99))
+KEPT = Input("r", RESIDUAL_STRENGTH.low, 0.999, "must lie in [0, 0.999)", 1e-4, (0.0, 0.99))
 """What contacts keep of their strength, an input of all self-healing events; there only where it may be more than 0."""
 STEEPEST = 0.99
 """Largest |φ| of an `Interface` by which a table of lengths computes one far below."""

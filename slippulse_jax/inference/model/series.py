@@ -172,6 +172,9 @@ def _series(aged: bool, wide: bool, scattered: bool, top: Top) -> Kernel:
             end = load_through((EVENTS, 0, 0, SITES), body, loading)
             event = jnp.arange(EVENTS)
             length, force = (end.rows[name][:-1] for name in ("length", "force_before"))
+            # no series that ends before it spans for want of events, nor one whose new contacts are weaker than what they keep
+            sound = (end.number < EVENTS) | jnp.isinf(length).any()
+            force = jnp.where(sound & (contacts[7] < contacts[4]), force, jnp.nan)
             reached = lax.cummax(jnp.where(event < end.number, length, jnp.inf)) / sites
             force = jnp.where(event < end.number, force / (body.stiffness * sites), jnp.nan)
             load, begin, farthest = (end.rows[name][:-1] for name in ("load", "leftmost", "extent"))
@@ -246,6 +249,11 @@ class BlockSeries(BlockEvent):
             raise ValueError(f"parameter threshold_scatter: held, not fitted, as forces hardly tell 2 % from 10 %: {option}")
         if "time_constant" in chosen and "newborn" not in chosen:
             raise ValueError('parameter time_constant: contacts that age need newborn too: free = [..., "newborn"]')
+        kept, newborn = (chosen[name].value if name in chosen else None for name in ("residual_strength", "newborn"))
+        kept = float(m.or_zero("residual_strength").max()) if "residual_strength" not in chosen else kept
+        if newborn is not None and kept is not None and kept >= newborn:
+            weak = f"a new contact is weaker than the share {kept:g} of its strength (residual_strength) that it keeps"
+            raise ValueError(f"parameter newborn = {newborn:g}: {weak}, and would break at once")
         aged = next((name for name in fitted if name in ("newborn", "time_constant")), None)
         if aged and m.block_length is not None and (farthest := float(np.max(m.length / m.block_length))) < AGED:
             where = f"the farthest place is {farthest:.2g} L, and nothing below {AGED:g} L tells how contacts age"

@@ -141,7 +141,7 @@ def _of_what_is_alike(result: "FitResult") -> Iterator[str]:
     (own, common), (_, kept) = result.covariance[np.ix_(both, both)]
     yield (
         f"φ and r move these data alike (correlation {common / math.sqrt(own * kept):+.2f}): with φ known, r would have "
-        f"an error of {math.sqrt(kept - common**2 / own):.2g}, not {math.sqrt(kept):.2g}"
+        f"an error of {math.sqrt(max(kept - common**2 / own, 0.0)):.2g}, not {math.sqrt(kept):.2g}"
     )
 
 

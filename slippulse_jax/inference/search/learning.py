@@ -21,7 +21,7 @@ from scipy.stats import qmc
 from slippulse_jax.base.domains import check_choice, check_domain
 from slippulse_jax.inference.model.emulator import Outputs, Points, through
 from slippulse_jax.inference.model.inputs import Linear
-from slippulse_jax.inference.model.series import GEOMETRY
+from slippulse_jax.inference.model.series import CONTACTS, GEOMETRY
 from slippulse_jax.inference.observables.observable import Observations
 from slippulse_jax.inference.parameters import PARAMETERS, ParameterSet
 from slippulse_jax.inference.search.likelihood import AT_ONCE, Problem
@@ -386,14 +386,15 @@ def _within(q: ParameterSet, theta: np.ndarray, units: np.ndarray) -> np.ndarray
     """Points in the range searched, on few elastic blocks and few stiffnesses.
 
     A block's response takes as long as many series on it, that of one more stiffness as several: blocks differ by whole units,
-    and stiffnesses of `SHARED` neighbours on contacts of one size (`BlockSeries.sites`) are made one.
+    and stiffnesses of `SHARED` neighbours on contacts of one size (`BlockSeries.sites`) are made one, if their contacts differ.
     """
-    of_block, of_contacts = (
-        np.array([bool(names & PARAMETERS[one.name].acts.keys()) for one in q.free]) for names in (OF_BLOCK, {"log_stiffness"})
+    of_block, of_stiffness, differ = (
+        np.array([bool(names & PARAMETERS[one.name].acts.keys()) for one in q.free])
+        for names in (OF_BLOCK, {"log_stiffness"}, {*CONTACTS})
     )
     middle = (q.low + q.high) / 2
     theta = np.where(of_block, middle + np.round((theta - middle) / units) * units, theta)
-    for j in np.flatnonzero(of_contacts & ~of_block):
+    for j in np.flatnonzero(of_stiffness & ~of_block & differ.any()):
         order = np.lexsort([theta[:, j], np.arange(len(theta)) % 2])
         for rows in np.split(order, range(SHARED, len(order), SHARED)):
             theta[rows, j] = theta[rows, j].mean()
