@@ -393,7 +393,7 @@ class Problem:
 
     @cached_property
     def of_points(self) -> np.ndarray:
-        """−ln(likelihood × prior) by the emulator at the points at which the model was followed."""
+        """−ln(likelihood × prior) by the emulator at its points, (t,)."""
         return self(self.points.theta).value
 
     @property
