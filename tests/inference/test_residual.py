@@ -154,8 +154,8 @@ def test_sequences_of_a_dense_program(name, truth, within):
         assert off < within[i], label
     if name == "residual_places":
         none = sp.fit(sp.read_measurements(TABLES / f"{name}.csv"))
-        assert none.identifiability is Identifiability.POOR_FIT
-        assert none.values["areal_stiffness"] > 1.5 * truth[0], "with r = 0 the stiffness is off by a factor"
+        assert none.p_value < 0.2, "with r = 0 the fit need not look wrong"
+        assert none.values["areal_stiffness"] > 1.5 * truth[0], "and the stiffness is off by a factor"
 
 
 def test_words(lengths):
