@@ -115,10 +115,9 @@ def _richer(result: "FitResult") -> Iterator[tuple[float, int, str]]:
         text = f"thresholds of real contacts scatter; try {100 * SCATTER:.0f} % from contact to contact: {option}"
         yield *_with(result, scattered(wanted, SCATTER)), text
     if result.parameters.front.body == "slider" and m.prestress is None and all(one.name != "prestress" for one in wanted):
-        instead = [
-            one for one in wanted if one.name != "residual_strength" or one.value is not None
-        ]  # lengths do not tell both
-        trend, more = _trend(result), [*instead, Parameter("prestress")]
+        # instead of what contacts keep, as lengths do not tell both
+        others = [one for one in wanted if one.name != "residual_strength" or one.value is not None]
+        trend, more = _trend(result), [*others, Parameter("prestress")]
         option = m.option(" ".join(f"--free {one.name}" for one in _asked(more)), _as_argument(more))
         yield *_with(result, more), f"{trend}{'; ' * bool(trend)}try a prestress, the same for all: {option}"
 
