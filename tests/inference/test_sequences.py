@@ -210,6 +210,13 @@ def test_series_that_share_a_response_are_those_of_each_alone():
         alone = followed(geometry[i : i + 1], contacts[i : i + 1], 16.0)
         for column, other in zip(every, alone, strict=True):
             np.testing.assert_array_equal(column[i, : other.shape[1]], other[0])
+    # no forces of one that is cut short, nor of new contacts weaker than what they keep
+    endless, weak = contacts[:1].copy(), contacts[:1].copy()
+    endless[0, 0], endless[0, 7] = np.log(20), 0.97
+    weak[0, 4], weak[0, 7] = 0.4, 0.5
+    for own in (endless, weak):
+        none = followed(np.array([[0.3, np.log(3), np.log(AT), np.log(WIDE), np.log(1.2)]]), own, 42.0)
+        assert np.isnan(none.force).all()
 
 
 def test_an_emulator_is_smooth_and_knows_its_scatter():
