@@ -50,8 +50,6 @@ PROMISING, MOST_PROMISING = 15.0, 3
 """Deviance of a point by itself, above the least, up to which its surroundings are followed; and of how many in each round."""
 OF_BLOCK = {*GEOMETRY, "log_height", "log_sites"}
 """Inputs on which the elastic block depends."""
-SHARED = 3
-"""Points of a cloud whose stiffness is made one, so that they share a response."""
 OUTWARDS, STEPS = 12, 3.0
 """Most rounds in which a profile is followed outwards, and how far each goes, in half-widths."""
 RISEN = 2.0
@@ -385,8 +383,9 @@ def _cloud(
 def _within(q: ParameterSet, theta: np.ndarray, units: np.ndarray) -> np.ndarray:
     """Points in the range searched, on few elastic blocks and few stiffnesses.
 
-    A block's response takes as long as many series on it, that of one more stiffness as several: blocks differ by whole units,
-    and stiffnesses of `SHARED` neighbours on contacts of one size (`BlockSeries.sites`) are made one, if their contacts differ.
+    A block's response takes as long as many series on it, that of one more stiffness as several. Blocks differ by whole units.
+    Stiffnesses of as many neighbours, on contacts of one size (`BlockSeries.sites`), are made one as numbers of their contacts
+    are free: of two that differ in friction alone one would tell little that the other does not.
     """
     of_block, of_stiffness, differ = (
         np.array([bool(names & PARAMETERS[one.name].acts.keys()) for one in q.free])
@@ -394,8 +393,9 @@ def _within(q: ParameterSet, theta: np.ndarray, units: np.ndarray) -> np.ndarray
     )
     middle = (q.low + q.high) / 2
     theta = np.where(of_block, middle + np.round((theta - middle) / units) * units, theta)
-    for j in np.flatnonzero(of_stiffness & ~of_block & differ.any()):
+    together = max(1, int(differ.sum()))
+    for j in np.flatnonzero(of_stiffness & ~of_block):
         order = np.lexsort([theta[:, j], np.arange(len(theta)) % 2])
-        for rows in np.split(order, range(SHARED, len(order), SHARED)):
+        for rows in np.split(order, range(together, len(order), together)):
             theta[rows, j] = theta[rows, j].mean()
     return np.clip(theta, q.low, q.high)
