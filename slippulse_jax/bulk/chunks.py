@@ -114,7 +114,9 @@ def over_lanes(kernel: Kernel, lanes: Lanes, layout: Layout = DEFAULT_LAYOUT, ra
                 back[order] = found[:size]
                 row[where] = back
 
-    side_by_side(run, range(len(pieces)))
+    each = map if len(pieces) == 1 or workers() == 1 else _pool(workers()).map
+    for _ in each(run, range(len(pieces))):
+        pass
     return results
 
 
@@ -183,12 +185,6 @@ def workers() -> int:
     # a batch system or ``taskset`` may give the process fewer cores than the machine has
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return 1 if getattr(_here, "alone", False) else max(cores, len(jax.local_devices()))
-
-
-def side_by_side(run: Callable[[int], Any], pieces: Sequence[int]) -> list[Any]:
-    """Run pieces of a work on every core; return their results in order."""
-    each = map if len(pieces) == 1 or workers() == 1 else _pool(workers()).map
-    return list(each(run, pieces))
 
 
 @functools.cache

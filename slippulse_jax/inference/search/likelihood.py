@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 from scipy.special import chdtrc, digamma
 
 from slippulse_jax.base.shown import TIED, format_number, listed, plural
-from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes, side_by_side
+from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
 from slippulse_jax.bulk.compiler import compiled, local_devices
 from slippulse_jax.bulk.derivatives import by_forward_mode
 from slippulse_jax.inference.choices import Loss
@@ -433,25 +433,21 @@ class Problem:
     def jointly(self, theta: np.ndarray, lane: np.ndarray | None = None) -> Joint:
         """Density of emulated data at every θ, (B, p)."""
         lane = np.zeros(len(theta), int) if lane is None else lane
-        kinds = tuple(data.observable for data in self.learnt)
+        kinds, parts = tuple(data.observable for data in self.learnt), []
         if self.tick is not None:
             self.tick(len(theta))
-
-        def given(start: int) -> tuple[list[np.ndarray], Any]:
-            rows = np.resize(np.arange(start, min(start + AT_ONCE, len(theta))), AT_ONCE)  # one shape, and one program
-            read = ([getattr(data, name)[lane[rows]] for data in self.learnt] for name in ("value", "weight"))
-            arrays, tree = jax.tree.flatten((self._numbers, self.emulator, theta[rows], *read))
-            return [np.asarray(x) for x in arrays], tree
-
-        arrays, tree = given(0)
-        program, results = _program(kinds, self.parameters.front.coordinates, tree, tuple((x.shape, x.dtype) for x in arrays))
-
-        def part(start: int) -> Joint:
+        for start in range(0, len(theta), AT_ONCE):
+            count = len(theta[start : start + AT_ONCE])
+            rows = np.resize(np.arange(start, start + count), AT_ONCE)  # one shape, so that one program is compiled
+            value, weight = ([getattr(data, name)[lane[rows]] for data in self.learnt] for name in ("value", "weight"))
+            arrays, tree = jax.tree.flatten((self._numbers, self.emulator, theta[rows], value, weight))
+            arrays = [np.asarray(x) for x in arrays]
+            shapes = tuple((x.shape, x.dtype) for x in arrays)
+            program, results = _program(kinds, self.parameters.front.coordinates, tree, shapes)
             with jax.enable_x64(True):
-                found = program(*given(start)[0])
-            return jax.tree.unflatten(results, [np.asarray(x)[: len(theta) - start] for x in found])
-
-        found = jax.tree.map(lambda *x: np.concatenate(x), *side_by_side(part, range(0, len(theta), AT_ONCE)))
+                found = program(*arrays)
+            parts.append(jax.tree.unflatten(results, [np.asarray(x)[:count] for x in found]))
+        found = jax.tree.map(lambda *x: np.concatenate(x), *parts)
         return found._replace(value=np.where(np.isnan(found.value), np.inf, found.value))
 
     def _bends(self, theta: np.ndarray, lane: np.ndarray) -> np.ndarray:
