@@ -384,8 +384,9 @@ def _within(q: ParameterSet, theta: np.ndarray, units: np.ndarray) -> np.ndarray
     """Points in the range searched, on few elastic blocks and few stiffnesses.
 
     A block's response takes as long as many series on it, that of one more stiffness as several. Blocks differ by whole units.
-    Stiffnesses of as many neighbours, on contacts of one size (`BlockSeries.sites`), are made one as numbers of their contacts
-    are free: of two that differ in friction alone one would tell little that the other does not.
+    Where two numbers of the contacts are free, stiffnesses of two neighbours on contacts of one size (`BlockSeries.sites`) are
+    made one. Of two that differ in friction alone one would tell little that the other does not; and where more are free, as of
+    contacts that age, fewer stiffnesses miss minima.
     """
     of_block, of_stiffness, differ = (
         np.array([bool(names & PARAMETERS[one.name].acts.keys()) for one in q.free])
@@ -393,7 +394,7 @@ def _within(q: ParameterSet, theta: np.ndarray, units: np.ndarray) -> np.ndarray
     )
     middle = (q.low + q.high) / 2
     theta = np.where(of_block, middle + np.round((theta - middle) / units) * units, theta)
-    together = max(1, int(differ.sum()))
+    together = 2 if differ.sum() == 2 else 1
     for j in np.flatnonzero(of_stiffness & ~of_block):
         order = np.lexsort([theta[:, j], np.arange(len(theta)) % 2])
         for rows in np.split(order, range(together, len(order), together)):
