@@ -11,6 +11,7 @@ from slippulse_jax.events.ageing import Ageing as Ageing
 from slippulse_jax.events.inertia import simulate_inertial as simulate_inertial
 from slippulse_jax.events.rupture import nucleate as nucleate
 from slippulse_jax.events.rupture import rupture as rupture
+from slippulse_jax.events.scattered import scattered as scattered
 from slippulse_jax.events.series import Spring as Spring
 from slippulse_jax.events.series import Steps as Steps
 from slippulse_jax.events.series import series as series

@@ -44,6 +44,7 @@ PRESTRESS = Domain(-1, 1, "must lie in (-1, 1): the prestress φ = σ_0/σ_s")
 """At 1 a contact breaks without a push; at −1 it breaks backwards."""
 THRESHOLD_SLOPE = Domain(-1, np.inf, "must exceed -1: the rise ε of the threshold from contact to contact, in σ_s")
 """At −1 contact 1 holds nothing."""
+THRESHOLD_SCATTER = Domain(0, 1, "must lie in [0, 1): the standard deviation s of thresholds over their mean", closed="low")
 RESIDUAL_STRENGTH = Domain(0, 1, "must lie in [0, 1): the stress r that a contact keeps over its threshold", closed="low")
 """At 1 a contact releases nothing: it slides."""
 

@@ -111,7 +111,7 @@ def _file(device: Any, *what: Any) -> Path | None:
     if not folder or device.platform != "cpu":
         return None
     try:
-        parts = [_sources(), jax.__version__, jaxlib.version.__version__, device.id, *map(_name, what)]
+        parts = [sources(), jax.__version__, jaxlib.version.__version__, device.id, *map(_name, what)]
     except TypeError:
         return None
     parts += sorted(f"{name}={value}" for name, value in os.environ.items() if name.startswith(("JAX_", "XLA_")))
@@ -141,7 +141,7 @@ def _is_own(one: Any) -> bool:
 
 
 @functools.cache
-def _sources() -> str:
+def sources() -> str:
     """Digest of all modules of this package."""
     digest, root = hashlib.sha256(), Path(__file__).parents[1]
     for path in sorted(root.rglob("*.py")):

@@ -39,7 +39,7 @@ OF_EXPERIMENT = {
     groups={
         "Slider, over λc": "height stiffness poisson",
         "Slider, in SI": "height-mm correlation-length-um areal-stiffness young-gpa experiment",
-        "Contacts": "residual-strength",
+        "Contacts": "residual-strength threshold-scatter visible draws seed",
         "Ends": "right sites block-length-mm machine",
         "Pushed block": "push-height push-width push-control friction normal-stiffness contact-law top",
         "Output": "json help",
@@ -52,6 +52,14 @@ OF_EXPERIMENT = {
 @click.option("--areal-stiffness", type=float, metavar="PA/M", help="Interfacial shear stiffness per area, k/λc².")
 @click.option("--young-gpa", type=float, metavar="GPA", help="Young's modulus.")
 @residual_strength(float)
+@click.option(
+    "--threshold-scatter", type=float, metavar="s", help="Draw thresholds, normal of this standard deviation over the mean."
+)
+@click.option(
+    "--visible", type=float, metavar="λc", help="Least extent of an event that is noticed; a tenth of the height by default."
+)
+@click.option("--draws", type=click.IntRange(min=2), default=200, show_default=True, help="Number of draws of the thresholds.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the draws.")
 @right_end
 @click.option("--sites", type=click.IntRange(min=2), metavar="N", help="Number of contacts of a chain with a right end.")
 @click.option("--block-length-mm", type=float, metavar="MM", help="Length of the body; its end is free by default.")
@@ -67,6 +75,10 @@ def command(
     sites: int | None,
     push_control: Any,
     residual_strength: float | None,
+    threshold_scatter: float | None,
+    visible: float | None,
+    draws: int,
+    seed: int,
     as_json: bool,
     **given: Any,
 ) -> None:
@@ -77,6 +89,8 @@ def command(
     """
     import jax
 
+    if visible is not None and threshold_scatter is None:
+        raise click.UsageError("--visible is of contacts that differ: give --threshold-scatter too")
     if experiment is not None:
         given = _completed(experiment, given)
     pressed = {name: given.pop(name) for name in UNPRESSED}
@@ -99,11 +113,20 @@ def command(
             if push_height is None:
                 end: Any = None if right == "semi-infinite" else right
                 one = Slider(*numbers, length=length, right=end, machine=machine)
-                result, text = asked | _of_slider(one, interface), _text
+                body, result, text = one, asked | _of_slider(one, interface), _text
             else:
                 push = {"push_height": push_height, "push_width": push_width, "push_control": push_control or "displacement"}
                 pressed |= {"length": None if length is None else round(length), "machine": machine}
-                result, text = asked | _of_block(slider, push, pressed, interface), _block_text
+                body = _block(slider, push, pressed)
+                result, text = asked | push | pressed | _of_block(body, slider, interface), _block_text
+            if threshold_scatter is not None:
+                how = {
+                    "threshold_scatter": threshold_scatter,
+                    "visible": 0.1 * asked["height"] if visible is None else visible,
+                    "draws": draws,
+                    "seed": seed,
+                }
+                result["scattered"] = how | _of_draws(body, interface, how)
         except ValueError as error:
             refuse(error)
     if "correlation_length" in form:
@@ -114,6 +137,23 @@ def command(
         print_json(result)
     else:
         click.echo(text(result))
+        if "scattered" in result:
+            click.echo(_draws_text(result["scattered"]))
+
+
+def _draws_text(found: dict[str, Any]) -> str:
+    """The lines about contacts that differ."""
+    several, spread = f"{found['low']:.5g} to {found['high']:.5g}", found["spread"]
+    mean = f"{found['length']:.5g}" + ("" if spread is None else f" ± {spread:.2g}") + " λc, mean and spread; "
+    return "\n".join(
+        [
+            f"thresholds that scatter by {100 * found['threshold_scatter']:g} %, {found['draws']} draws of seed {found['seed']}"
+            f"; events visible from {found['visible']:g} λc on:",
+            f"ℓ   = {mean}median {found['median']:.5g}, 68 % {several}",
+            f"U   = {found['load']:.5g} u_s as it begins; {100 * found['touching_the_edge']:.0f} % touch the edge; "
+            f"{found['events_before']:.2g} events before it that nobody sees",
+        ]
+    )
 
 
 def _check(given: dict[str, Any], is_pressed: bool, is_controlled: bool, has_end: bool) -> None:
@@ -181,14 +221,34 @@ def _of_slider(slider: "Slider", interface: Any) -> dict[str, Any]:
     }
 
 
-def _of_block(slider: "Slider", push: dict[str, Any], contacts: dict[str, Any], interface: Any) -> dict[str, Any]:
+def _block(slider: "Slider", push: dict[str, Any], contacts: dict[str, Any]) -> Any:
     from slippulse_jax.block import Block, Push
+
+    return Block(slider.height, slider.stiffness, slider.poisson, Push(*push.values()), **contacts)
+
+
+def _of_block(block: Any, slider: "Slider", interface: Any) -> dict[str, Any]:
     from slippulse_jax.exact.front import exact_length
     from slippulse_jax.precursor import precursor_length
 
-    block = Block(slider.height, slider.stiffness, slider.poisson, Push(*push.values()), **contacts)
     lengths = {"length": precursor_length(block, interface), "length_of_slider": exact_length(slider, interface)}
-    return {**push, **contacts, "sites": block.sites, **{name: float(x) for name, x in lengths.items()}}
+    return {"sites": block.sites, **{name: float(x) for name, x in lengths.items()}}
+
+
+def _of_draws(body: Any, interface: Any, how: dict[str, Any]) -> dict[str, Any]:
+    """What would be noticed on contacts that differ, in numbers."""
+    import numpy as np
+
+    from slippulse_jax.events.scattered import scattered
+
+    found = scattered(body, interface, **how)
+    length, left = np.asarray(found.length), np.asarray(found.left)
+    low, middle, high = np.quantile(length, [0.16, 0.5, 0.84], method="inverted_cdf").tolist()
+    return {
+        "length": float(length.mean()), "spread": float(length.std(ddof=1)) if np.isfinite(length).all() else None,
+        "low": low, "median": middle, "high": high, "load": float(found.load.mean()), "force": float(found.force.mean()),
+        "touching_the_edge": float((left == 0).mean()), "events_before": float(found.before.mean()),
+    }  # fmt: skip
 
 
 def _block_text(result: dict[str, Any]) -> str:

@@ -6,5 +6,6 @@
 `ageing`            thresholds that grow with age
 `catalogue`         the record of a series of events, and its files
 `series`            one event after another, as the load grows
+`scattered`         the first event that would be noticed, of contacts whose thresholds differ
 `inertia`           the chain with masses
 """

@@ -32,6 +32,8 @@ from slippulse_jax.interface import AnyInterface
 from slippulse_jax.rules import BreakRule
 from slippulse_jax.slider import Slider
 
+WEAKEST = 0.05
+"""Least threshold, over its mean, where thresholds scatter."""
 ROUNDING = 16
 """Units in the last place within which numbers along a chain are equal."""
 
@@ -115,6 +117,16 @@ class Relaxed(NamedTuple):
         there = jnp.arange(self.threshold.size) <= last
         threshold, prestress = jnp.where(there, self.threshold, jnp.inf), jnp.where(there, self.prestress, 0)
         return self._replace(threshold=threshold, prestress=prestress, last=last)
+
+    def scattered(self, scatter: Any, key: Array) -> "Relaxed":
+        """The same body with thresholds drawn, normal about its own.
+
+        That of a contact depends on no other: more contacts add to those drawn.
+        """
+        drawn = jax.random.normal(key, self.threshold.shape, self.threshold.dtype)
+        return self._replace(
+            threshold=self.threshold * jnp.maximum(1 + scatter * drawn, WEAKEST), alike=self.alike & (scatter == 0)
+        )
 
     def through(self, spring: Any) -> "Relaxed":
         """The same body with its pusher pulled through a spring, in K."""

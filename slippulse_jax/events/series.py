@@ -88,6 +88,8 @@ class Loading(NamedTuple):
     when_spanning: Array  # whether with the first event that breaks the last contact
     max_breaks: Int[Array, ""]  # of one event
     last: Int[Array, ""]  # contact that may break, of those resolved
+    # record only events whose own extent is at least the first of these, and larger than before; end with one of the second
+    noticed: tuple[Array, Array] | None = None
 
 
 LIFTED = 1e-3
@@ -164,7 +166,7 @@ def series(
             raise ValueError(f"{given}: that is for a block; a chain has its own contacts")
         sites = body.sites
     else:
-        _check_pusher(body, protocol)
+        check_pusher(body, protocol)
         sites = checked_sites(body, sites)
     check_whole("events", events, 1)
     check_whole("recorded_breaks", recorded_breaks, 0)
@@ -246,7 +248,7 @@ def static_friction(
         count *= 4
 
 
-def _check_pusher(body: Any, protocol: Protocol) -> None:
+def check_pusher(body: Any, protocol: Protocol) -> None:
     """Refuse a pusher whose force is held, and two springs behind it."""
     if isinstance(body, Block) and body.push.control != "displacement":
         raise ValueError("push.control = 'force': the pusher of a series is displaced; pull it through a soft Spring instead")
@@ -308,6 +310,7 @@ class SeriesState(NamedTuple):
     stored: Array  # potential energy
     number: Array  # of events
     total: Array  # of breaks
+    seen: tuple[Array, Array] | None  # events recorded, and the largest own extent of all, where not every event is
     ending: Int[Array, ""]  # an `Outcome`, or −1
     rows: dict[str, Array]  # columns of the catalogue, of length E + 1; the last row is scratch space
     order: Int[Array, " L+1"]  # site of every break; likewise
@@ -331,6 +334,7 @@ def load_through(shape: Shape, body: Relaxed, loading: Loading) -> SeriesState:
         stored=zero,
         number=none,
         total=none,
+        seen=None if loading.noticed is None else (none, zero),
         ending=jnp.where(body.valid, -1, Outcome.INVALID).astype(jnp.int32),
         rows={
             name: jnp.full(events + 1, WHOLE.get(name, jnp.nan), jnp.int32 if name in WHOLE else zero.dtype) for name in COLUMNS
@@ -405,14 +409,19 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
         "relaxed": relaxed, "kind": jnp.select(list(kinds.values()), list(kinds), EventClass.INTERIOR),
     }  # fmt: skip
     over = (found.breaks >= loading.max_breaks) & (excess >= 0).any()
+    at, recorded, enough, seen = now.number, begins, jnp.zeros((), bool), None
+    if loading.noticed is not None and now.seen is not None:
+        (least, most_own), (at, widest), own = loading.noticed, now.seen, length - found.leftmost
+        recorded, enough = begins & (own >= least) & (own > widest), own >= most_own
+        seen, over = (at + recorded, jnp.maximum(widest, own)), over | (now.number >= loading.max_breaks)
     endings = {
         Outcome.NOTHING_LEFT: ~begins,
         Outcome.LIFT_OFF: jnp.any(jnp.stack(lifted)) if lifted else jnp.zeros((), bool),
         Outcome.LIMIT: over,
         Outcome.SPANNED: loading.when_spanning & spans,
-        Outcome.DONE: (now.number == now.rows["load"].size - 2) | (load >= loading.until.astype(load.dtype)),
+        Outcome.DONE: (at == now.rows["load"].size - 2) & recorded | (load >= loading.until.astype(load.dtype)) | enough,
     }
-    place = jnp.where(begins, now.number, now.rows["load"].size - 1)
+    place = jnp.where(recorded, at, now.rows["load"].size - 1)
     return SeriesState(
         readings=found.readings,
         released=now.released + found.released,
@@ -423,6 +432,7 @@ def _next_event(body: Relaxed, loading: Loading, delay: int, now: SeriesState) -
         stored=stored,
         number=now.number + begins.astype(jnp.int32),
         total=now.total + found.breaks,
+        seen=seen,
         ending=jnp.select(list(endings.values()), list(endings), -1).astype(jnp.int32),
         rows={
             name: lax.dynamic_update_index_in_dim(column, row[name].astype(column.dtype), place, 0)

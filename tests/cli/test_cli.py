@@ -197,6 +197,25 @@ def test_the_cache_can_be_switched_off_and_may_be_unwritable(own_cache):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.parametrize("block", [[], ["--push-height", "0.2"]], ids=["slider", "block"])
+def test_length_of_contacts_that_differ(block, in_this_process):
+    """What `sp.scattered` says, as numbers and as text."""
+    body = ["length", "--height", "20", "--stiffness", "0.02", "--poisson", "0.3", *block]
+    drawn = ["--threshold-scatter", "0.05", "--draws", "20", "--seed", "2"]
+    found = json.loads(in_this_process(*body, *drawn, "--json").stdout)["scattered"]
+    slider = sp.Slider(20.0, 0.02, 0.3)
+    one = sp.Block(slider.height, slider.stiffness, slider.poisson, sp.Push(0.2)) if block else slider
+    draws = sp.scattered(one, threshold_scatter=0.05, visible=2.0, draws=20, seed=2)
+    assert found["length"] == pytest.approx(float(draws.length.mean()), rel=1e-6)
+    assert found["low"] < found["median"] < found["high"]
+    assert found["visible"] == 2
+    text = in_this_process(*body, *drawn).stdout
+    assert "thresholds that scatter by 5 %, 20 draws of seed 2; events visible from 2 λc on:" in text
+    assert f"ℓ   = {found['length']:.5g} ± {found['spread']:.2g} λc, mean and spread" in text
+    assert "give --threshold-scatter too" in in_this_process(*body, "--visible", "3").stderr
+    assert "visible = 0: must be positive" in in_this_process(*body, *drawn, "--visible", "0").stderr
+
+
 def test_length_in_si_as_json(in_this_process):
     done = in_this_process(
         "length", "--json", "--poisson", "0.3", "--height-mm", "75", "--correlation-length-um", "10", "--areal-stiffness", "2e10",
