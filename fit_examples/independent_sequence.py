@@ -15,10 +15,21 @@ class Event(NamedTuple):
 
     length: float  # in contacts; inf where it breaks the last one
     force: float  # on the pusher, over that of friction μF_N
+    left: int = 0  # first contact that breaks
 
 
-def sequence(push, response, push_lost, lost, friction, threshold=1.0, ageing=None, residual=0.0):
-    """Events of a block under a slow push, up to the one that spans it; all contacts start relaxed.
+def sequence(*block, **more):
+    """Events of a block under a slow push, up to the one that spans it; numbers as of `events_of`."""
+    found = []
+    for event in events_of(*block, **more):
+        found.append(event)
+        if np.isinf(event.length):
+            return found
+    raise RuntimeError(f"none of {MOST_EVENTS} events spans the block")
+
+
+def events_of(push, response, push_lost, lost, friction, threshold=1.0, ageing=None, residual=0.0):
+    """Events of a block under a slow push, one after another; all contacts start relaxed.
 
     The first four arguments are those of `independent_block.precursor`, `threshold` is that of every contact, `ageing` the
     strength of a contact that has just broken, over that of an old one, and the rise of the push in which it recovers. The push
@@ -26,7 +37,7 @@ def sequence(push, response, push_lost, lost, friction, threshold=1.0, ageing=No
     `residual` of its strength. By balance of forces, the pusher carries the sum of what the contacts carry.
     """
     weak, recovery = ageing or (1.0, 1.0)
-    n, load, events = len(push), 0.0, []
+    n, load = len(push), 0.0
     stress, relief, broken_at = np.zeros(n), np.zeros(n), np.full(n, -np.inf)
 
     def strength(rise):
@@ -36,7 +47,7 @@ def sequence(push, response, push_lost, lost, friction, threshold=1.0, ageing=No
     def over(rise):
         return stress + rise * push - strength(rise)
 
-    while len(events) < MOST_EVENTS:
+    for _ in range(MOST_EVENTS):
         rise, j = first_crossing(over, push + friction * threshold * push_lost, threshold * (1 - friction * relief) - stress)
         load, stress, relief, first_over = load + rise, stress + rise * push, relief + rise * push_lost, {}
         force, excess = stress.mean(), over(0.0)
@@ -49,10 +60,8 @@ def sequence(push, response, push_lost, lost, friction, threshold=1.0, ageing=No
             broken_at[j] = load
             excess = over(0.0)
         last = max(first_over)
-        if last + 1 == n:
-            return [*events, Event(np.inf, force)]
-        events.append(Event(last + first_over[last] / (first_over[last] - excess[last + 1]), force))
-    raise RuntimeError(f"none of {MOST_EVENTS} events spans the block")
+        stops = last + first_over[last] / (first_over[last] - excess[last + 1]) if last + 1 < n else np.inf
+        yield Event(stops, force, min(first_over))
 
 
 def first_crossing(over, rate, lacking):

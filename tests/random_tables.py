@@ -121,7 +121,8 @@ def _complicate(rng: np.random.Generator, kind: str, given: dict[str, Any]) -> t
         "measured": ("provenance", ["measured"] * n),
     }
     given |= dict(column for name, column in columns.items() if name in there)
-    return free, {"loss": "student"} if "student" in there else {}
+    options = {"fixed": {"threshold_scatter": 0}} if "measured" in there else {}
+    return free, options | ({"loss": "student"} if "student" in there else {})
 
 
 def _true(rng: np.random.Generator, wanted: Any, given: dict[str, Any], kind: str) -> np.ndarray:

@@ -17,10 +17,10 @@ Method = Literal["lm", "lbfgs", "adam"]
 IntervalsBy = Literal["auto", "profile", "calibrated"]
 """Intervals by rises of the deviance from χ², or from simulated measurements; `auto` chooses."""
 
-MeasuredEvent = Literal["domino", "full", "crack", "sequence"]
+MeasuredEvent = Literal["domino", "full", "crack", "sequence", "scattered"]
 """What was measured: the length of the first front, whose contacts heal; of the whole event, in which they may break again; of
-the front of a crack, behind which they slide; or the force at which the front of a block first reaches each place, up to
-sliding."""
+the front of a crack, behind which they slide; the force at which the front of a block first reaches each place, up to sliding;
+or, of contacts that differ, the length of the first event that would be noticed."""
 
 Body = Literal["slider", "block"]
 """What carries the contacts: the paper's slider, or a block under two-dimensional elasticity that is pushed at a height."""

@@ -23,6 +23,7 @@ from slippulse_jax.inference.parameters import (
     checked,
     suspicions,
     wanted_parameters,
+    where_contacts_differ,
     with_errors_of_measuring,
 )
 from slippulse_jax.inference.result import record
@@ -34,6 +35,9 @@ from slippulse_jax.inference.search.intervals import (
     allowed,
     calibrated,
     can_be_calibrated,
+    crossed,
+    deviances,
+    integrated,
     profile,
     rise_of,
     to_be_simulated,
@@ -104,9 +108,9 @@ def fit(
         Parameters to fit, by the names of `slippulse_jax.inference.parameters.PARAMETERS`. By default the stiffness, and
         of a sequence friction and normal load where the table does not state them. "stiffness" is k/K where
         lengths are in λc, the areal stiffness k/λc² where they are in SI. A `Parameter` adds bounds, a prior, one value per
-        specimen. Inputs that come with an error of their own are fitted beside them, with that error as prior; beside lengths
-        of provenance "measured" also a "model_factor" and, where they have σ, an "offset" (`with_errors_of_measuring`), unless
-        they are named or held.
+        specimen. Inputs that come with an error of their own are fitted beside them, with that error as prior; beside what
+        was measured or digitised also the scatter of thresholds, a "model_factor" and, where lengths have σ, an "offset"
+        (`with_errors_of_measuring`), unless they are named or held. `fixed={"threshold_scatter": 0}` takes contacts as alike.
     bounds : (float, float), optional
         Range of the stiffness searched, in the unit of the result. By default everything from where no domino starts up to
         k/K = 1.
@@ -160,7 +164,9 @@ def fit(
     """
     arguments = locals().copy()
     measurements = measurements_of(measurements)
+    size_known = sigma == "absolute" and loss == "normal" and measurements.length_sigma is not None
     front = front_of(measurements, event, body)
+    front = where_contacts_differ(front, measurements, event, free, fixed, size_known=size_known)
     wanted = wanted_parameters(measurements, free, bounds, fixed, front)
     suspected = suspicions(measurements, wanted, front)
     for mistake in suspected:
@@ -185,8 +191,13 @@ def fit(
     else:
         explored = _by_search(problem, **options)
     problem, found, between = explored.problem, explored.found, explored.between
+    if problem.emulates:
+        problem = dataclasses.replace(problem, simulated=deviances(problem, found.theta))
     limits = {level: found.deviance + rise_of(level, dof=found.scatter_dof) for level in LEVELS}
-    profiled = {j: allowed(problem, j, curve, limits) for j, curve in found.curves.items()}
+    profiled = {
+        j: crossed(curve, limits) if _integrated(problem) else allowed(problem, j, curve, limits)
+        for j, curve in found.curves.items()
+    }
     simulated: dict[int, tuple[Intervals, tuple[float, float]]] = {}
     if not scaled and to_be_simulated(problem, intervals, found, profiled):
         with _progress(problem) as shown:
@@ -238,7 +249,13 @@ def _is_scaled(m: Measurements, front: Front, sigma: Sigma) -> bool:
         raise ValueError(
             "sigma = 'relative': a sequence has errors of the model too: model_error = \"fitted\" takes their size"
         )
-    return lengths and (sigma == "relative" or m.length_sigma is None)
+    scaled = lengths and (sigma == "relative" or m.length_sigma is None)
+    if scaled and front.drawn:
+        raise ValueError(
+            f"{m.source}: the spread of lengths is to say how thresholds scatter, and cannot give the size of errors too: give "
+            "their standard errors of reading"
+        )
+    return scaled
 
 
 class Explored(NamedTuple):
@@ -260,6 +277,14 @@ def _by_search(problem: Problem, **options: Any) -> Explored:
 def _by_learning(problem: Problem, model_error: float | str | None, **options: Any) -> Explored:
     """Follow the model where data may be met, until profiles rise."""
     problem, turn = learnt(problem, options["seed"], model_error), 0
+    if problem.through is None:  # of draws, all at once
+        with _progress(problem) as shown:
+            if not _integrated(problem):
+                return Explored(problem, _explore(shown, **options))
+            found = search(shown, **options)
+            lost = [one for one in found.unconverged if not found.minima]
+            asked = [j for j, one in enumerate(problem.parameters.free) if not one.nuisance]
+            return Explored(problem, found._replace(unconverged=lost, curves={j: integrated(shown, j, found) for j in asked}))
     while True:
         near = narrowed(sized(problem) if model_error == "fitted" else problem)
         with _progress(near) as shown:
@@ -271,6 +296,12 @@ def _by_learning(problem: Problem, model_error: float | str | None, **options: A
             known = {j: within_reach(curve) for j, curve in found.curves.items()}
             return Explored(pruned(near), found._replace(curves=known))
         problem, turn = more, turn + 1
+
+
+def _integrated(problem: Problem) -> bool:
+    """Whether profiles are integrated over the scatter of contacts."""
+    q = problem.parameters
+    return q.front.drawn and problem.p > 1 and "threshold_scatter" in q.names
 
 
 @contextmanager

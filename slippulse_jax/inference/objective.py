@@ -21,7 +21,14 @@ from slippulse_jax.inference.model.front import Front
 from slippulse_jax.inference.model.inputs import COMMON
 from slippulse_jax.inference.model.models import front_of
 from slippulse_jax.inference.observables.observable import Observable, Observations
-from slippulse_jax.inference.parameters import PARAMETERS, Parameter, checked, wanted_parameters, with_errors_of_measuring
+from slippulse_jax.inference.parameters import (
+    PARAMETERS,
+    Parameter,
+    checked,
+    wanted_parameters,
+    where_contacts_differ,
+    with_errors_of_measuring,
+)
 from slippulse_jax.inference.search.learning import check_model_error, learnt, sized
 from slippulse_jax.inference.search.likelihood import How, Problem, density, make_problem
 from slippulse_jax.inference.search.minima import lowest_look
@@ -67,7 +74,9 @@ class Objective:
     def _compiled(self) -> Callable[[Array], Array]:
         how, numbers = self.problem.parts
         q = self.problem.parameters
-        low, high = np.array([PARAMETERS[one.name].limits for one in q.free]).T
+        limits = np.array([PARAMETERS[one.name].limits for one in q.free])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            low, high = np.where([[one.log] for one in q.free], np.log(np.maximum(limits, 0)), limits).T
         box = low, high, (q.low + q.high) / 2
         domains = [(data.inputs, self._domain(data)) for data in self.problem.observed]
         # a model with tables, or of one's own, ends with its objective; of others all objectives share their programs
@@ -175,7 +184,8 @@ def objective(
     True
     """
     m = measurements_of(measurements)
-    front = front_of(m, event, body)
+    size_known = loss == "normal" and m.length_sigma is not None
+    front = where_contacts_differ(front_of(m, event, body), m, event, free, fixed, size_known=size_known)
     if m.length_sigma is None and "length" in front.observes:
         raise ValueError(
             f"{m.source}: lengths without σ have no likelihood: give their standard errors; fit takes σ from the scatter"

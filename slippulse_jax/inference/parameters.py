@@ -12,6 +12,7 @@ import dataclasses
 import functools
 import warnings
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -24,7 +25,7 @@ from slippulse_jax.bulk.chunks import distinct_rows
 from slippulse_jax.inference.choices import Body, Loss, MeasuredEvent
 from slippulse_jax.inference.model.front import STIFFEST, Front
 from slippulse_jax.inference.model.inputs import COMMON, Inputs, Linear
-from slippulse_jax.inference.model.models import front_for, front_of, model_of
+from slippulse_jax.inference.model.models import FRONTS, front_for, front_of, model_of
 from slippulse_jax.inference.observables import EVERY as EVERY_OBSERVABLE
 from slippulse_jax.inference.observables import Length, Observable
 from slippulse_jax.inference.table.columns import COLUMNS, EVERY, IN_LC, NUMERIC, OVER_ALL, MeasurementError
@@ -96,7 +97,8 @@ class Parameter:
                 )
         if self.nuisance and self.prior is None:
             raise ValueError(f"parameter {self.name}: nuisance = True, but no prior says what its error is")
-        if self.value is not None and not (np.isfinite(self.value) and (self.value > 0 or not positive)):
+        alike = self.value == PARAMETERS[self.name].limits[0]  # of contacts that do not differ
+        if self.value is not None and not (np.isfinite(self.value) and (self.value > 0 or not positive or alike)):
             raise ValueError(f"value = {self.value:g} of {self.name}: must be {'positive and ' * positive}finite")
 
     def _check_numbers(self) -> None:
@@ -162,9 +164,9 @@ class ParameterSet:
         From its value as stated, (n,), and what a unit of θ of each parameter adds.
         """
         slope = np.zeros((len(base), len(self.free)))
-        for one in self.effects:
-            size = acts.get(one.name, 0) * one.rows
-            base = base + acts.get(one.name, 0) * one.shift
+        for one in (one for one in self.effects if one.name in acts):
+            size = acts[one.name] * one.rows
+            base = base + acts[one.name] * one.shift
             if one.theta is not None:
                 slope[:, one.theta] += size
         return Linear(base, slope)
@@ -180,6 +182,8 @@ class ParameterSet:
             m.or_zero("residual_strength").any() or any(one.name == "residual_strength" for one in self.effects)
         ):
             base["residual_strength"] = m.or_zero("residual_strength")
+        if "log_scatter" in base and all(one.name != "threshold_scatter" for one in self.effects):
+            base["log_scatter"] = base["log_scatter"] - np.inf  # contacts are alike
         acts: dict[str, dict[str, Any]] = {name: {} for name in base}
         for parameter in {one.name for one in self.effects}:
             for name, size in acts_of(m, parameter).items():
@@ -297,7 +301,7 @@ PARAMETERS: dict[str, ParameterKind] = {
     "friction": ParameterKind("", ("", ""), False, {"friction": 1}, (0.0, 0.95), 1.0, limits=(0.0, np.inf)),
     "newborn": ParameterKind("newborn", ("", ""), False, {"newborn": 1}, (0.05, 1.0), limits=(0.01, 1.0)),
     "time_constant": ParameterKind("τ", ("u_s", "u_s"), True, {"log_time": 1}, (0.02, 50.0)),
-    "threshold_scatter": ParameterKind("scatter", ("", ""), False, {"threshold_scatter": 1}, (0.0, 0.15), limits=(0.0, 0.3)),
+    "threshold_scatter": ParameterKind("scatter", ("", ""), True, {"log_scatter": 1}, (0.002, 0.15), limits=(0.0, 0.3)),
     "machine_stiffness": ParameterKind("M", ("E", "Pa"), True, {"log_machine": 1}, factor=10.0),
     "normal_load": ParameterKind("F_N", ("", "N/m"), True, {}, factor=10.0),
     "strength": ParameterKind("σ_s", ("", "Pa"), True, {}, (1.0, 1e12)),
@@ -312,7 +316,11 @@ HEIGHTS = ("height", "push_height", "push_width", "block_length")
 """Lengths held in λc and shown in metres where λc is known; fitted as one factor on all of their rows."""
 NEEDS_SI = ("correlation_length", "young", "strength")
 OF_MEASURING = ("offset", "model_factor")
-"""What is fitted beside for lengths of provenance "measured", and acts on these."""
+"""What is fitted beside for lengths that were measured, and acts on these."""
+MEASURED = ("measured", "digitised")
+"""Provenances of real contacts."""
+USUAL_SCATTER = (0.03, 0.03 * np.log(2))
+"""Prior of the scatter of their thresholds: 3 %, within a factor of two."""
 STARTS = ("young", "push_height", "push_width", "block_length", "block_width", "normal_stiffness")
 """Parameters that are nothing without a column."""
 COMPARED = (*HEIGHTS, "young", "correlation_length", "normal_load", "machine_stiffness", "strength", "time_constant")
@@ -342,8 +350,8 @@ def parameter_set(
     they determine. The model is `front`, by default that of `front_of`, with its `observables`. What a user asks for is checked
     before (`checked`).
     """
-    wanted = tuple(Parameter(one) if isinstance(one, str) else one for one in wanted)
-    front, chosen = front or front_of(m), with_names(m, wanted)
+    every = tuple(map(_as_parameter, wanted))
+    front, chosen = front or front_of(m), with_names(m, every)
     stated_inputs, free, effects = front.stated(m), list[Free](), list[Effect]()
     held: dict[str, float] = {}
     for parameter, label, rows in (*_asked(m, chosen), *_uncertain(m, front), *_arrests(m)):
@@ -351,7 +359,8 @@ def parameter_set(
         reference, unit = stated_inputs.get(name, _reference(m, name)), m.metres if name == "offset" else 1
         if parameter.value is not None:
             held[name] = parameter.value
-            shift = (np.log(parameter.value) if PARAMETERS[name].log else parameter.value) - reference
+            with np.errstate(divide="ignore"):
+                shift = (np.log(parameter.value) if PARAMETERS[name].log else parameter.value) - reference
         else:
             index = len(free)
             free.append(_free(m, front, parameter, label, rows, float(reference[rows][0])))
@@ -359,7 +368,7 @@ def parameter_set(
             shift = np.where(rows, -reference[rows][0], 0.0) if name in HEIGHTS else -reference
         effects.append(Effect(name, rows / unit, shift * rows / unit, index))
     observables = observables_of(front) if observables is None else tuple(observables)
-    return ParameterSet(m, tuple(free), held, tuple(effects), front, observables, wanted)
+    return ParameterSet(m, tuple(free), held, tuple(effects), front, observables, every)
 
 
 def acts_of(m: Measurements, name: str) -> dict[str, float]:
@@ -372,28 +381,51 @@ def acts_of(m: Measurements, name: str) -> dict[str, float]:
     return PARAMETERS[name].acts
 
 
-def with_errors_of_measuring(
-    m: Measurements, wanted: Sequence[Parameter], front: Front | type[Front] | None = None, *, size_known: bool
-) -> list[Parameter]:
-    """Add the errors that all measured lengths share, unless they are named.
+def _as_parameter(one: str | Parameter) -> Parameter:
+    return Parameter(one) if isinstance(one, str) else one
 
-    These are reading edge and tip, and what the model leaves out. Only for lengths of provenance "measured": a model factor of
-    1 ± `MODEL_ERROR` and, where the size of σ is known, an offset of 0 ± their median.
+
+def was_measured(m: Measurements) -> np.ndarray:
+    """Which measurements are of real contacts, (n,)."""
+    return np.isin(np.array(m.provenance or ("",) * len(m)), MEASURED)
+
+
+def scatter_of_measured(m: Measurements, front: Front) -> Parameter:
+    """How thresholds of real contacts are taken to scatter.
+
+    By 3 %, within a factor of two: what 100 to 1000 asperities that break alone do on average.
     """
-    of_lengths = np.array([kind == "length" for kind in m.kind])
-    if "measured" not in m.provenance or not of_lengths.any() or "length" not in (front or model_of(m)).observes:
+    bounds = front.ranges(m).get("threshold_scatter", PARAMETERS["threshold_scatter"].bounds)
+    return Parameter("threshold_scatter", bounds, USUAL_SCATTER, nuisance=True)
+
+
+def with_errors_of_measuring(
+    m: Measurements, wanted: Sequence[Parameter], front: Front | None = None, *, size_known: bool
+) -> list[Parameter]:
+    """Add what measurements share or do not tell, unless it is named.
+
+    Only for those of a provenance in `MEASURED`. Of lengths these are reading edge and tip, and what the model leaves out: a
+    model factor of 1 ± `MODEL_ERROR` and, where the size of σ is known, an offset of 0 ± their median. Where the model has a
+    scatter of thresholds, that (`scatter_of_measured`).
+    """
+    front, named, found = front or front_of(m), {one.name for one in wanted}, list[Parameter]()
+    of_lengths = np.array([kind == "length" for kind in m.kind]) & ("length" in front.observes)
+    if not was_measured(m).any():
         return list(wanted)
-    priors = {"model_factor": (1.0, MODEL_ERROR)}
-    if size_known and m.length_sigma is not None:
-        priors = {"offset": (0.0, float(np.median((m.length_sigma * m.metres)[of_lengths])))} | priors
-    named = {one.name for one in wanted}
-    return [*wanted, *(Parameter(name, prior=prior, nuisance=True) for name, prior in priors.items() if name not in named)]
+    if of_lengths.any() and size_known and m.length_sigma is not None:
+        own = (0.0, float(np.median((m.length_sigma * m.metres)[of_lengths])))
+        found.append(Parameter("offset", prior=own, nuisance=True))
+    if of_lengths.any():
+        found.append(Parameter("model_factor", prior=(1.0, MODEL_ERROR), nuisance=True))
+    if "log_scatter" in front.inputs:
+        found.append(scatter_of_measured(m, front))
+    return [*wanted, *(one for one in found if one.name not in named)]
 
 
 def _asked(m: Measurements, chosen: Sequence[Parameter]) -> Iterator[tuple[Parameter, str, np.ndarray]]:
     """Label and rows of each value that the requested parameters take."""
     every = np.ones(len(m), dtype=bool)
-    measured = np.array([one == "measured" for one in m.provenance], dtype=bool)
+    measured = was_measured(m)
     for parameter in chosen:
         name = parameter.name
         specimens = list(dict.fromkeys(m.specimen)) if parameter.each else []
@@ -480,8 +512,9 @@ def default_bounds(
     if parameter.prior is not None:
         mean, sigma = parameter.prior
         if PARAMETERS[name].log:
-            reach = PRIOR_REACH * sigma / mean
-            return mean * np.exp(-reach), mean * np.exp(reach)
+            reach, usual = PRIOR_REACH * sigma / mean, PARAMETERS[name].bounds
+            low, high = mean * np.exp(-reach), mean * np.exp(reach)
+            return (max(low, usual[0]), min(high, usual[1])) if usual and usual[0] < mean < usual[1] else (low, high)
         low, high = PARAMETERS[name].limits
         if name in front.inputs:
             high = min(high, 0.99 * front.inputs[name].high)
@@ -534,7 +567,7 @@ def default_free(m: Measurements, held: Container[str], front: Front | type[Fron
 
 def observables_of(model: Front, loss: Loss = "normal") -> tuple[Observable, ...]:
     """Observables that a model predicts."""
-    return tuple(EVERY_OBSERVABLE[name](loss=loss) for name in model.observes)
+    return tuple(EVERY_OBSERVABLE[name](loss=loss, drawn=model.drawn) for name in model.observes)
 
 
 def wanted_parameters(
@@ -549,7 +582,7 @@ def wanted_parameters(
     free = (free,) if isinstance(free, (str, Parameter)) else tuple(free)
     if not free:
         raise ValueError("free = (): nothing to fit")
-    wanted = [Parameter(one) if isinstance(one, str) else one for one in free]
+    wanted = [*map(_as_parameter, free)]
     if bounds is not None:
         bounded = ["stiffness" in one.name and one.value is None for one in wanted]
         if not any(bounded):
@@ -558,6 +591,38 @@ def wanted_parameters(
     if not isinstance(fixed, Mapping | None):
         raise TypeError(f"fixed is {type(fixed).__name__}: must be a dict of parameters and values, as {{'poisson': 0.3}}")
     return wanted + [Parameter(name, value=value) for name, value in (fixed or {}).items()]
+
+
+def where_contacts_differ(
+    front: Front,
+    m: Measurements,
+    event: MeasuredEvent | Front | None,
+    free: Any,
+    fixed: Mapping[str, float] | None = None,
+    *,
+    size_known: bool = True,
+) -> Front:
+    """Choose draws instead of a model of contacts that are alike.
+
+    Where their scatter is named, if no event is; or where lengths were measured, of which the size of errors is known, if draws
+    are followed for such a table.
+    """
+    if event is not None or (front.body, "scattered") not in FRONTS or "length" not in front.observes:
+        return front
+    given = (free,) if isinstance(free, (str, Parameter)) else tuple(free or ())
+    held = fixed.items() if isinstance(fixed, Mapping) else ()
+    every = [*map(_as_parameter, given), *(Parameter(name, value=value) for name, value in held)]
+    named = {one.name: one for one in every}
+    if "threshold_scatter" in named:
+        return front if named["threshold_scatter"].value == 0 else front_for(front.body, "scattered", m)
+    moving = {one.name for one in every if one.value is None} & {"prestress", "residual_strength"}
+    if not was_measured(m).any() or not size_known or moving:
+        return front
+    with suppress(ValueError):
+        draws = front_for(front.body, "scattered", m)
+        draws.check(m, named | {"threshold_scatter": scatter_of_measured(m, draws)})
+        return draws
+    return front
 
 
 # --- what is asked for --------------------------------------------------------------------------------------------------
@@ -578,7 +643,7 @@ def checked(
     A ValueError if one is given twice, has no meaning for these measurements, is needed and missing, or its limits leave the
     domain of the model, or the range in which a domino starts.
     """
-    front, wanted = front_of(m, event, body), [Parameter(one) if isinstance(one, str) else one for one in wanted]
+    front, wanted = front_of(m, event, body), [*map(_as_parameter, wanted)]
     chosen = with_names(m, wanted)
     names = [one.name for one in chosen]
     for one in chosen:
@@ -593,7 +658,8 @@ def checked(
     _check_separable(m, chosen, front, observables)
     known = {name for one in observables for name in (*one.acts, one.added)} | {"block_width"}
     for name in names:
-        if not PARAMETERS[name].acts.keys() & {*front.inputs, *COMMON} and name not in known:
+        alike = name == "threshold_scatter" and next(one for one in chosen if one.name == name).value == 0
+        if not PARAMETERS[name].acts.keys() & {*front.inputs, *COMMON} and name not in known and not alike:
             raise ValueError(f"parameter {name}: no part of the model, of a {front.name}")
     for name in stated_errors(m, front):
         if name in names:

@@ -224,9 +224,9 @@ def residuals(result: "FitResult", *, along_height: bool = False, ax: "Axes | No
     for marker, color, _, rows in marked(result, ax):
         for own, sign, size in ((rows[~limit[rows]], marker, None), (rows[limit[rows]], *beyond)):
             ax.plot(x[own], result.residuals[own], sign, ms=size, color=color, **look)
-        for one in further:
-            own, first = np.isin(one.measurement, rows), one.measurement
-            ax.plot(x[first[own]], one.residuals[own], marker, color=color, mfc="none", label="of the first length")
+        for number, one in enumerate(further):  # the larger, the later, as several may lie on one another
+            own, at, noun = np.isin(one.measurement, rows), one.measurement, result.observable(one.observable).noun
+            ax.plot(x[at[own]], one.residuals[own], marker, ms=6 + 3 * number, color=color, mfc="none", label=f"of the {noun}")
     per = "σ"
     ax.set_xlabel(label)
     if not sigma.all():

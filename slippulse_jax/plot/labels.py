@@ -15,6 +15,7 @@ NAMES = {
     "prestress": ("prestress", r"\varphi"),
     "threshold_slope": ("threshold gradient", r"\epsilon"),
     "residual_strength": ("residual strength", "r"),
+    "threshold_scatter": ("scatter of thresholds", "s"),
     "strength": ("strength", r"\sigma_s"),
     "friction": ("friction behind the front", r"\sigma_k"),
     "friction_coefficient": ("friction coefficient", r"\mu"),

@@ -39,9 +39,10 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
     """Draw measured lengths against height, and the fitted curve.
 
     Against the height of the push where one block was pushed at several. With its 95 % band, and the lengths that no stiffness
-    gives. The curve is dashed where the edge contact breaks again before the front stops, so that the event goes on. Ticks mark
-    the fitted lengths that lie off it, where inputs differ between the points of a curve. Points are open where several are at
-    the same place. A ValueError for a sequence.
+    gives; of contacts that differ, instead of the band, the range of 95 % of the events at each height. The curve is dashed
+    where the edge contact breaks again before the front stops, so that the event goes on. Ticks mark the fitted lengths that
+    lie off it, where inputs differ between the points of a curve. Points are open where several are at the same place. A
+    ValueError for a sequence.
     """
     from matplotlib.patches import Patch
 
@@ -64,20 +65,22 @@ def fit_lengths(result: "FitResult", *, ax: "Axes | None" = None) -> "Axes":
         longest = _longest(result, rows, height, along, curve) * size
         curves.append((x, longest, curve.breaks_again.any()))
         dashed_where(ax, x, curve.length * size, curve.breaks_again, color=color, label=name)
-        for low, high in () if result.rejected else curve.bands:
+        for low, high in () if result.rejected or result.problem.drawn else curve.bands:
             ax.fill_between(x, low * size, high * size, color=color, alpha=0.25, lw=0)
             bands.append(np.max(high - low) * size)
         top = max(top, 1.12 * np.nanmax(longest, initial=0.0), 1.05 * (m.length * scale)[rows].max())
     x, longest, _ = max(curves, key=lambda one: np.nanmax(one[1], initial=0.0))
     label = "longer than possible"
     beyond = ax.fill_between(x, longest, 10 * np.nanmax(longest, initial=0.0), fc=c.grey, alpha=0.15, lw=0, label=label)
+    if result.problem.drawn:
+        _draw_events(result, ax)
     _draw_data(result, ax)
     _draw_fitted(result, ax, 0.01 * top)
     ax.set(xlabel=axis_label(along, unit), ylabel=axis_label("length", unit))
     ax.margins(x=0, y=0)
     ax.set_ylim(0, top)
     handles = handles_of(ax, again=any(again for *_, again in curves))
-    if not result.rejected:
+    if not result.rejected and not result.problem.drawn:
         thin = max(bands, default=0) < 0.03 * top
         label = f"{BAND_LEVEL:.0%} band" + " (thin)" * bool(thin)
         band = Patch(color=c.blue if len(groups) == 1 else c.ink, alpha=0.25, lw=0, label=label)
@@ -98,6 +101,19 @@ def _longest(result: "FitResult", rows: np.ndarray, height: np.ndarray, along: s
     else:
         longest = curve.longest
     return np.where(np.isfinite(longest), longest, np.nan)
+
+
+def _draw_events(result: "FitResult", ax: "Axes") -> None:
+    """Draw the range of 95 % of the events at each height."""
+    x, scale, label = places_of(result), result.measurements.unit[0], f"{BAND_LEVEL:.0%} of events"
+    for data, events in zip(result.problem.learnt, result.problem.draws(result.theta), strict=True):
+        for i in np.unique(x[data.measurement], return_index=True)[1] if data.observable.of_rows else ():
+            order = np.argsort(events.value[i])
+            share = np.cumsum(events.weight[i][order])
+            low, high = events.value[i][order][np.searchsorted(share, share[-1] * (1 + np.array([-1, 1]) * BAND_LEVEL) / 2)]
+            row = data.measurement[i]
+            ax.vlines(x[row], low * scale[row], high * scale[row], color=colours(ax).grey, lw=7, alpha=0.3, label=label)
+            label = "_"
 
 
 def _draw_data(result: "FitResult", ax: "Axes") -> None:

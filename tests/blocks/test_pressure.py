@@ -63,7 +63,7 @@ def test_a_whole_sequence_is_that_of_finite_elements_that_share_no_code(height, 
     events = sequence(*elastic, friction)
     block = pressed(height, b, sp.Push(0.15, 0.1), friction, normal_stiffness=1.2)
     found = sp.series(block, events=len(events) + 3)
-    lengths, forces = map(np.array, zip(*events, strict=True))
+    lengths, forces = np.array([one.length for one in events]), np.array([one.force for one in events])
     assert int(found.number) == len(events) > 30
     np.testing.assert_allclose(found.length[1 : len(events)], lengths[1:], rtol=0, atol=0.01)  # in contacts; meshes differ
     assert float(found.length[0]) == pytest.approx(lengths[0], abs=0.02)  # on a curve, and on a straight line

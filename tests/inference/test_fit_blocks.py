@@ -337,6 +337,7 @@ def test_budget_of_a_block_is_that_of_fits_with_the_input_moved():
     known = {"correlation_length": 1e-5, "young": 3.3e9, "length_sigma": [50.0, 50, 60, 80], "provenance": ("measured",) * 4}
     m = sp.Measurements(height=height, poisson=0.37, length=[800.0, 1630, 3120, 5200], push_height=height / 4, **known)
     result = sp.fit(m)
+    assert "threshold_scatter" not in result.parameters.names  # as there are too many contacts
     moved = np.log(sp.fit(dataclasses.replace(m, push_height=1.05 * m.push_height)).values["areal_stiffness"])
     moved -= np.log(result.values["areal_stiffness"])
     assert moves(result)["push_height"]["areal_stiffness"] == pytest.approx(moved, abs=0.015)  # 0.3 % of a length

@@ -94,7 +94,7 @@ def test_errors_to_publish_have_two_sides_wherever_there_is_a_value(known):
     """As the box prints them, also beside inputs that all have errors of their own."""
     errors = {"height_sigma": 0.2, "poisson_sigma": 0.01, "provenance": ("measured",) * 3} if known else {}
     m = sp.Measurements([20.0, 30.0, 50.0], 0.3, [11.6, 19.0, 35.1], 0.5, **errors)
-    result = sp.fit(m, intervals="profile")
+    result = sp.fit(m, intervals="profile", fixed={"threshold_scatter": 0})
     below, above = result.errors_with_inputs["stiffness"]
     (piece,) = result.intervals["stiffness"][LEVELS[0]]
     value = result.values["stiffness"]
@@ -102,7 +102,9 @@ def test_errors_to_publish_have_two_sides_wherever_there_is_a_value(known):
     assert above >= 0.999 * (piece.high - value)
     assert (len(of_inputs(result.changes)) == 0) == known
     assert 0.5 * (below + above) == pytest.approx(result.stderrs_with_inputs["stiffness"], rel=0.1)
-    beyond = sp.fit(dataclasses.replace(m, length=[23.0, 34.5, 57.5]))  # any length, where a model factor is fitted
+    beyond = sp.fit(
+        dataclasses.replace(m, length=[23.0, 34.5, 57.5]), fixed={"threshold_scatter": 0}
+    )  # any length, where a model factor is fitted
     assert (beyond.errors_with_inputs["stiffness"] is None) == (not known)
 
 
@@ -278,8 +280,8 @@ def test_a_pulled_model_factor_is_remarked_on():
     """Lengths that grow with the height less than those of any slider do."""
     m = lengths(provenance=("measured",) * 6)
     bent = dataclasses.replace(m, length=m.length * (HEIGHT / 450) ** -0.07)
-    assert not any("more than chance" in note for note in sp.fit(m).notes)
-    (note,) = [note for note in sp.fit(bent).notes if "more than chance" in note]
+    assert not any("more than chance" in note for note in sp.fit(m, fixed={"threshold_scatter": 0}).notes)
+    (note,) = [note for note in sp.fit(bent, fixed={"threshold_scatter": 0}).notes if "more than chance" in note]
     assert re.search(r"model factor 2\.\d\d σ below.*the lengths do not vary with the height as the model's do", note)
     assert "check what is stated" not in note
 
@@ -291,7 +293,7 @@ def test_a_pulled_model_factor_is_remarked_on():
 @pytest.mark.parametrize("held", [None, 1.0, 1.1])
 def test_the_ratio_to_a_block_beside_a_factor_of_all_lengths(held):
     """Fitted, or held at any value, the factor is that of the fit of the block too."""
-    fixed = None if held is None else {"offset": 0, "model_factor": held}
+    fixed = {"threshold_scatter": 0} | ({} if held is None else {"offset": 0, "model_factor": held})
     result = sp.fit(lengths(provenance=("measured",) * 6), fixed=fixed)
     report = result.report()
     rows = [line for line in section(report, "What else") if "a real block" in line]
@@ -473,8 +475,10 @@ def test_the_deviance_is_that_of_the_residuals_shown(name, worked):
         parts = []
         for one, data in zip(result.data, result.problem.observed, strict=True):
             open_ = result.problem.covariance(result.theta, data)  # of forces of a sequence, which err together
-            off = one.residuals * one.sigma
-            parts.append(off @ np.linalg.solve(open_ + np.diag(data.sigma**2), off))
+            off, heavy = one.residuals * one.sigma, data.more.get("spans", np.zeros(len(data.rows), bool))
+            last = np.argsort(heavy, kind="stable")  # of a force that spans, given the others, Student's with 4 degrees
+            white = np.linalg.solve(np.linalg.cholesky((open_ + np.diag(data.sigma**2))[np.ix_(last, last)]), off[last]) ** 2
+            parts.append(np.where(heavy[last], 5 * np.log1p(white / 4), white).sum())
         for one, t in zip(result.parameters.free, result.theta, strict=True):
             parts.append(((t - one.prior_mean) / one.prior_sigma) ** 2 if np.isfinite(one.prior_sigma) else 0.0)
         assert result.misfit == pytest.approx(sum(parts), rel=1e-9, abs=1e-12)
@@ -557,7 +561,7 @@ def test_effects_are_in_the_order_of_what_is_printed():
 def test_what_the_errors_come_from_is_said():
     """Of the lengths alone; of stated errors; of an offset and a model factor; of readings; of priors."""
     stated = sp.fit(two_specimens())
-    measured = sp.fit(lengths(provenance=("measured",) * 6))
+    measured = sp.fit(lengths(provenance=("measured",) * 6), fixed={"threshold_scatter": 0})
     known = sp.fit(lengths(), ["stiffness", sp.Parameter("poisson", prior=(0.3, 0.02))])
     alone = sp.fit(lengths())
     for result, said in (
@@ -578,7 +582,7 @@ def test_what_the_errors_come_from_is_said():
 def test_the_deviance_is_that_of_residuals_and_inputs(made):
     """Where inputs are fitted within their errors χ² is more than the residuals squared: the report says how much more."""
     shorter = sp.Measurements(HEIGHT, 0.3, LENGTH * (HEIGHT / 500) ** 0.1, 0.01 * LENGTH, provenance=("measured",) * 6)
-    result = sp.fit(two_specimens((1.05, 0.9)) if made == "stated" else shorter)
+    result = sp.fit(two_specimens((1.05, 0.9)) if made == "stated" else shorter, fixed={"threshold_scatter": 0})
     inputs = result.deviance - (result.residuals**2).sum()
     assert inputs > 0.05
     text = unfolded(result.report())
@@ -730,7 +734,7 @@ def test_each_specimen_has_the_factor_of_a_block_of_its_own_lengths():
 
 def test_errors_of_measuring_are_those_of_what_was_measured():
     provenance = ["measured", "measured", "", "", "", ""]
-    result = sp.fit(lengths(provenance=provenance))
+    result = sp.fit(lengths(provenance=provenance), fixed={"threshold_scatter": 0})
     q = result.parameters
     scale, offset = q.of_lengths
     assert offset.slope[:, q.index("offset")].tolist() == [1, 1, 0, 0, 0, 0]

@@ -8,6 +8,7 @@ import pytest
 import slippulse_jax as sp
 from slippulse_jax.inference.parameters import MODEL_ERROR
 
+ALIKE = {"threshold_scatter": 0}
 HEIGHT = np.array([25.0, 35.0, 45.0, 55.0, 65.0, 75.0]) * 10
 STIFFNESS = 3e-4
 
@@ -24,7 +25,7 @@ def lengths():
 @pytest.mark.ci
 def test_standard_error_is_that_of_correlated_lengths(lengths):
     """By generalised least squares: the two errors are covariances of the lengths."""
-    result = sp.fit(lengths)
+    result = sp.fit(lengths, fixed=ALIKE)
     found = sp.exact_lengths(sp.Slider(HEIGHT, result.values["stiffness"], 0.3), derivatives=1)
     slope = found.slider.stiffness * result.values["stiffness"]
     sigma, factor = lengths.sigma, np.exp(result.theta[result.parameters.index("model_factor")])
@@ -41,30 +42,31 @@ def test_standard_error_is_that_of_correlated_lengths(lengths):
 @pytest.mark.ci
 def test_held_they_leave_the_error_of_the_lengths(lengths):
     plain = sp.fit(dataclasses.replace(lengths, provenance=()))
-    held = sp.fit(lengths, fixed={"offset": 0, "model_factor": 1})
+    held = sp.fit(lengths, fixed={"offset": 0, "model_factor": 1} | ALIKE)
     assert held.values == plain.values
     assert held.intervals == plain.intervals
-    assert held.stderrs["stiffness"] < 0.2 * sp.fit(lengths).stderrs["stiffness"]
+    assert held.stderrs["stiffness"] < 0.2 * sp.fit(lengths, fixed=ALIKE).stderrs["stiffness"]
 
 
 @pytest.mark.ci
 def test_a_fit_repeated_from_its_record_is_the_same(lengths):
     from slippulse_jax.inference.result.record import from_request
 
-    result = sp.fit(lengths)
+    result = sp.fit(lengths, fixed=ALIKE)
     again = sp.fit(lengths, **from_request(result.to_dict()["request"]))
     assert again.theta.tolist() == result.theta.tolist()
     assert again.names == result.names
 
 
-@pytest.mark.parametrize("case", ["counts", "digitised"])
-def test_only_beside_measured_lengths(lengths, case):
+@pytest.mark.parametrize("case", ["counts", "printed", "digitised"])
+def test_only_beside_lengths_that_were_measured(lengths, case):
     if case == "counts":
         count = np.ceil(sp.exact_lengths(sp.Slider(HEIGHT, STIFFNESS, 0.3)))
         lengths = dataclasses.replace(lengths, length=count, length_sigma=0 * count, kind=("whole",) * 6)
     else:
-        lengths = dataclasses.replace(lengths, provenance=("digitised",) * 6)
-    assert sp.fit(lengths).parameters.names == ["stiffness"]
+        lengths = dataclasses.replace(lengths, provenance=(case,) * 6)
+    beside = ["offset", "model_factor"] * (case == "digitised")
+    assert sp.fit(lengths, fixed=ALIKE).parameters.names == ["stiffness", *beside]
 
 
 @pytest.mark.ci
@@ -73,7 +75,7 @@ def test_the_model_factor_is_there_without_a_size_of_errors(lengths, case):
     """By generalised least squares with σ of the size of the scatter; an offset would need σ for its prior."""
     if case == "no errors":
         lengths = dataclasses.replace(lengths, length_sigma=None)
-    result = sp.fit(lengths, sigma="absolute" if case == "no errors" else "relative")
+    result = sp.fit(lengths, fixed=ALIKE, sigma="absolute" if case == "no errors" else "relative")
     assert set(result.inputs) == {"model_factor"}
     found = sp.exact_lengths(sp.Slider(HEIGHT, result.values["stiffness"], 0.3), derivatives=1)
     factor = result.inputs["model_factor"]
@@ -95,7 +97,7 @@ def test_lengths_that_share_a_factor_are_not_too_long():
     said = {}
     for provenance in ("synthetic", "measured"):
         m = sp.Measurements(HEIGHT, 0.3, 1.1 * longest, 0.01 * HEIGHT, provenance=[provenance] * 6)
-        said[provenance] = " ".join(sp.fit(m, intervals="profile").notes)
+        said[provenance] = " ".join(sp.fit(m, intervals="profile", fixed=ALIKE).notes)
     assert "above the longest" in said["synthetic"]
     assert "above the longest" not in said["measured"]
 

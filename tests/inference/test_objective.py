@@ -103,7 +103,7 @@ def test_optimisers_of_optax_find_the_roots_of_the_fit(method):
 @pytest.mark.ci
 def test_start_beside_narrow_priors_and_calls_that_compile_once():
     """Offset and factor of measured lengths, whose priors are narrower than the grid, start at their means."""
-    f = sp.objective(sp.Measurements(HEIGHT, 0.3, LENGTH, 0.3, provenance=("measured",) * 3))
+    f = sp.objective(sp.Measurements(HEIGHT, 0.3, LENGTH, 0.3, provenance=("measured",) * 3), fixed={"threshold_scatter": 0})
     assert "offset" in f.names
     start = f.start()
     assert float(f(start)) < 1

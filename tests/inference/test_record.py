@@ -74,9 +74,9 @@ def test_other_files_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError):
         sp.load_fit(path)
     for content, message in (
-        ("{}", "its schema is not 2"),
-        ('{"schema": 1}', "its schema is not 2"),
-        ('{"schema": 99}', "its schema is not 2"),
+        ("{}", "its schema is not 3"),
+        ('{"schema": 1}', "its schema is not 3"),
+        ('{"schema": 99}', "its schema is not 3"),
         ("[1", "fit.json"),
     ):
         path.write_text(content)
@@ -123,9 +123,9 @@ def measured(scale=1.0, **columns):
 @pytest.mark.ci
 def test_the_request_is_the_arguments_of_the_fit():
     """Without what measuring adds, so that another table gets errors of its own."""
-    result = sp.fit(measured())
+    result = sp.fit(measured(), fixed={"threshold_scatter": 0})
     assert {"offset", "model_factor"} <= set(result.parameters.names)
-    assert [one.name for one in result.request["free"]] == ["stiffness"]
+    assert [one.name for one in result.request["free"]] == ["stiffness", "threshold_scatter"]
     again = sp.fit(measured(), **result.request)
     assert again.values == result.values
     assert again.intervals == result.intervals
@@ -133,7 +133,7 @@ def test_the_request_is_the_arguments_of_the_fit():
 
 @pytest.mark.ci
 def test_a_request_of_one_measured_table_leaves_another_its_own_errors(tmp_path):
-    sp.fit(measured()).save(tmp_path / "fit.json")
+    sp.fit(measured(), fixed={"threshold_scatter": 0}).save(tmp_path / "fit.json")
     pd.DataFrame(
         {"height": [20, 40, 60], "poisson": 0.3, "length": measured().length, "length_sigma": 0.6, "provenance": "measured"}
     ).to_csv(tmp_path / "other.csv", index=False)

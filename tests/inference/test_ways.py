@@ -23,6 +23,7 @@ from slippulse_jax.inference.observables import EVERY
 
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parents[1] / "fit_examples"
+TWO_EVENTS = (HERE / "tables/two_events.csv").read_text(encoding="utf-8").partition("\n")[2]
 SEQUENCE = (EXAMPLES / "sequence/lengths.csv").read_text(encoding="utf-8")
 
 
@@ -79,6 +80,7 @@ TABLES = {
     "sequence of five": (lambda: rows_of_sequence(0, 1, 2, 3, 4), {}),
     "sequence of two": (lambda: rows_of_sequence(1, 5), {}),
     "spanning force": (lambda: rows_of_sequence(5), {"fixed": {"friction": 0.35}}),
+    "largest forces": (lambda: read(TWO_EVENTS), {}),
     "no first event": (lambda: rows_of_sequence(1, 2, 3, 4, 5), {}),
 }
 """Kinds of tables, and how they are fitted."""

@@ -11,5 +11,6 @@ In the order in which they build on each other:
 `crack`             crack-like fronts
 `block`             whole events of blocks that are pushed at a height
 `series`            the events of a block up to sliding
+`scattered`         the first event that would be noticed, of contacts that differ
 `models`            the choice of a model by a table
 """

@@ -64,6 +64,7 @@ class Front:
     """Names of the observables that it predicts."""
     needs: ClassVar[Collection[str]] = ()  # parameters that are fitted where no column states them
     interpolated: ClassVar[bool] = False  # whether its lengths are interpolated, so that no count holds or fails for certain
+    drawn: ClassVar[bool] = False  # whether what is measured is a draw, of contacts that differ
     most_off: ClassVar[float] = 0.0  # largest `uncertainty` of a length, in λc
 
     # in words
@@ -200,6 +201,10 @@ class Front:
         """
         raise NotImplementedError(f"{self.name}: nothing for an emulator")
 
+    def ensembles(self, inputs: Inputs, reach: np.ndarray, near: Inputs | None = None, *, alone: bool = True) -> Any:
+        """Draw events at all places of `reach`, and more `near` some."""
+        raise NotImplementedError(f"{self.name}: of contacts that are alike")
+
     @classmethod
     def coordinates(cls, inputs: Inputs, numpy: Any = np) -> Any:
         """Coordinates of an emulator, each in its unit, (…, d).
@@ -223,6 +228,10 @@ class Front:
     def left_out(self, m: Measurements, names: Collection[str]) -> list[str]:
         """What the model leaves out; of fitted and held parameters' names."""
         return []
+
+    def remarks(self, m: Measurements) -> Iterator[str]:
+        """What to know of the measurements before using the numbers."""
+        return iter(())
 
     def outcomes(self, m: Measurements, inputs: Inputs) -> np.ndarray:
         """`Outcome` of each measurement."""
@@ -274,10 +283,6 @@ class Front:
     def usual(self, m: Measurements) -> dict[str, tuple[float, float]]:
         """Usual ranges of parameters that measurements like these have."""
         return {}
-
-    def least_probability(self, inputs: Inputs) -> float:
-        """Probability of the deviance below which the model is refused."""
-        return IMPROBABLE
 
     def longest(self, inputs: Inputs, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Find the longest length over ln k/K from `low` to `high`.

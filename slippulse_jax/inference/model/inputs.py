@@ -114,6 +114,13 @@ class Inputs(NamedTuple):
         """Select some rows of every input."""
         return self.map(lambda one: one[rows])
 
+    def distinct(self) -> tuple["Inputs", np.ndarray]:
+        """Distinct rows of linear inputs, and which of them each is."""
+        every = [self.get(name) for name in self.names]
+        key = np.concatenate([np.column_stack([one.base, one.slope]) for one in every], axis=1)
+        _, first, own = np.unique(key, axis=0, return_index=True, return_inverse=True)
+        return self.take(first), own.ravel()
+
     def ravel(self) -> "Inputs":
         """Flatten every input."""
         return self.map(np.ravel)

@@ -11,13 +11,13 @@ from slippulse_jax.inference.model.crack import CrackFront
 from slippulse_jax.inference.model.front import (
     Front,
 )
+from slippulse_jax.inference.model.scattered import ScatteredBlock, ScatteredEvent
 from slippulse_jax.inference.model.series import BlockSeries
 from slippulse_jax.inference.model.slider import FirstFront, WholeEvent
 from slippulse_jax.inference.table.measurements import Measurements
 
-FRONTS: dict[tuple[Body, MeasuredEvent], type[Front]] = {
-    (front.body, front.event): front for front in (FirstFront, WholeEvent, CrackFront, BlockEvent, BlockSeries)
-}
+_EVERY = (FirstFront, WholeEvent, CrackFront, BlockEvent, BlockSeries, ScatteredEvent, ScatteredBlock)
+FRONTS: dict[tuple[Body, MeasuredEvent], type[Front]] = {(front.body, front.event): front for front in _EVERY}
 """Models by body and event."""
 _shared = functools.cache(lambda model: model())
 

@@ -27,7 +27,6 @@ from slippulse_jax.events.event import BREAKS_PER_SITE
 from slippulse_jax.events.first import Relaxed
 from slippulse_jax.events.series import Adiabatic, Loading, load_through
 from slippulse_jax.inference.model.block import BlockEvent
-from slippulse_jax.inference.model.front import IMPROBABLE, SCATTERED
 from slippulse_jax.inference.model.inputs import COMMON, Input, Inputs
 from slippulse_jax.inference.model.slider import FirstFront
 from slippulse_jax.inference.table.measurements import Measurements
@@ -42,12 +41,10 @@ TOGETHER = 16
 """Series of one geometry that are followed by one lane; those of one b after one another, on one response."""
 GEOMETRY = ("poisson", "log_ratio", "log_push", "log_push_width", "log_normal_stiffness")
 """What the elastic block is: ν, and the logarithms of L/H, h/H, w/H and k_n/k."""
-CONTACTS = ("log_b", "friction", "prestress", "log_machine", "newborn", "log_time", "threshold_scatter", "residual_strength")
-"""What may differ on one block: ln b, μ, φ, ln M/K, a newborn contact, ln τ over u_s, scatter of thresholds, and r."""
+CONTACTS = ("log_b", "friction", "prestress", "log_machine", "newborn", "log_time", "log_scatter", "residual_strength")
+"""What may differ on one block: ln b, μ, φ, ln M/K, a newborn contact, ln τ over u_s, ln of the scatter, and r."""
 CREEP = 0.01
 """Weight of an event that is not seen, over that of one that is: of single contacts, between the events of a record."""
-WEAKEST = 0.05
-"""Least threshold, over their mean, where they scatter."""
 
 
 class Followed(NamedTuple):
@@ -119,7 +116,7 @@ def followed(
     aged, wide = bool((contacts[:, CONTACTS.index("newborn")] < 1).any()), bool(np.isfinite(geometry[:, 3]).all())
     geometry = np.column_stack([geometry, np.broadcast_to(height, len(geometry))])
     blocks, own = distinct_rows(geometry)
-    scattered = bool(contacts[:, CONTACTS.index("threshold_scatter")].any())
+    scattered = bool((contacts[:, CONTACTS.index("log_scatter")] > -np.inf).any())
     contacts = np.column_stack([contacts, first + np.arange(len(contacts))])
     order = np.argsort(contacts[:, 0], kind="stable")
     groups = [order[own[order] == i] for i in range(len(blocks))]
@@ -162,9 +159,7 @@ def _series(aged: bool, wide: bool, scattered: bool, top: Top) -> Kernel:
             prestress = jnp.broadcast_to(contacts[2], body.prestress.shape)
             body = body._replace(prestress=prestress, residual_strength=contacts[7]).through(machine)
             if scattered:
-                drawn = jax.random.normal(jax.random.key(contacts[8].astype(jnp.int32)), (SITES,), body.threshold.dtype)
-                threshold = body.threshold * jnp.maximum(1 + contacts[6] * drawn, WEAKEST)
-                body = body._replace(threshold=threshold, alike=False)
+                body = body.scattered(jnp.exp(contacts[6]), jax.random.key(contacts[8].astype(jnp.int32)))
             body = body.up_to(body.last)
             ageing = Ageing(contacts[4], jnp.exp(contacts[5])) if aged else None
             most = jnp.int32(BREAKS_PER_SITE * SITES)
@@ -186,7 +181,7 @@ def _series(aged: bool, wide: bool, scattered: bool, top: Top) -> Kernel:
     return of_lane
 
 
-SIZES = 0.03, 0.05, 0.05, 0.1, 0.2, 0.06, 0.06, 0.03, 0.3, 0.06, 0.2, 0.02, 0.03, 0.05
+SIZES = 0.03, 0.05, 0.05, 0.1, 0.2, 0.06, 0.06, 0.03, 0.3, 0.06, 0.2, 0.3, 0.03, 0.05
 UNITS = dict(zip((*GEOMETRY, *CONTACTS, "log_extent"), SIZES, strict=True))  # the last of how places are read
 """Least half-width of a cloud in each number: the slope over less is that of single orders of breaks."""
 APART = 1_000_000
@@ -206,12 +201,12 @@ class BlockSeries(BlockEvent):
         "log_machine": FirstFront.inputs["log_machine"],
         "newborn": Input("newborn", 0.0, 1.0, "must lie in (0, 1]", 1e-4, (0.01, 1.0)),
         "log_time": Input("τ/u_s", -np.inf, np.inf, ""),
-        "threshold_scatter": Input("scatter", 0.0, 0.3, "must lie in [0, 0.3)", 1e-4, (0.0, 0.3)),
+        "log_scatter": Input("scatter", -np.inf, np.log(0.3), "must lie in [0, 0.3)"),
         "log_extent": Input("", -np.inf, np.inf, ""),
         "model_error": Input("", 0.0, np.inf, ""),
     }
     most_off = 0.0  # what it leaves open is in its predictions
-    observes = ("place_force", "first_length")
+    observes = ("place_force", "first_length", "largest_force", "between")
     measured = "a sequence of precursors"
     name = "sequence of precursors"
     body_modelled = "block with a free end under two-dimensional elasticity, pushed at a height"
@@ -244,9 +239,11 @@ class BlockSeries(BlockEvent):
         fitted = [name for name, one in chosen.items() if one.value is None]
         if "machine_stiffness" in chosen and m.machine_stiffness is None:
             raise ValueError("parameter machine_stiffness: the measurements state none to start from; a guess is enough")
-        if "threshold_scatter" in fitted:
+        if "threshold_scatter" in fitted and chosen["threshold_scatter"].prior is None:
             option = m.option("--fix threshold_scatter=0.05", 'fixed={"threshold_scatter": 0.05}')
-            raise ValueError(f"parameter threshold_scatter: held, not fitted, as forces hardly tell 2 % from 10 %: {option}")
+            raise ValueError(
+                f"parameter threshold_scatter: give a prior, as forces hardly tell 2 % from 10 %, or hold it: {option}"
+            )
         if "time_constant" in chosen and "newborn" not in chosen:
             raise ValueError('parameter time_constant: contacts that age need newborn too: free = [..., "newborn"]')
         kept, newborn = (chosen[name].value if name in chosen else None for name in ("residual_strength", "newborn"))
@@ -283,7 +280,7 @@ class BlockSeries(BlockEvent):
             "log_normal_stiffness": normal,
             "log_machine": FirstFront().stated(m).get("log_machine", none + np.inf),
             "newborn": none + 1,
-            **dict.fromkeys(("log_time", "threshold_scatter", "log_extent", "model_error"), none),
+            **dict.fromkeys(("log_time", "log_scatter", "log_extent", "model_error"), none),
         }
 
     @staticmethod
@@ -326,7 +323,7 @@ class BlockSeries(BlockEvent):
         their size, over L, can be continued to that of the block: forces of first events are straight in it to 0.1 % from 80
         to 270 contacts. Where thresholds scatter that would be another scatter, and `SITES` it is.
         """
-        own, alike = np.exp(inputs.get("log_sites")), inputs.get("threshold_scatter") == 0
+        own, alike = np.exp(inputs.get("log_sites")), np.isneginf(inputs.get("log_scatter"))
         fewer = alike & (np.arange(len(own)) % 2 == 1) & continued
         found = np.where(own <= SITES, own, np.where(fewer, COARSER, SITES))
         return found, np.where(alike, 1 / np.sqrt(found) - 1 / np.sqrt(own), 0.0)
@@ -376,10 +373,3 @@ class BlockSeries(BlockEvent):
     def longest(self, inputs: Inputs, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """No force bounds a sequence from above."""
         return np.full(len(low), np.inf), high
-
-    def least_probability(self, inputs: Inputs) -> float:
-        """5 % where contacts are taken as alike.
-
-        Those of a real interface are not, and what χ² hardly sees moves the stiffness by many of its errors.
-        """
-        return IMPROBABLE if np.any(inputs.get("threshold_scatter")) else SCATTERED

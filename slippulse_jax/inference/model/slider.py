@@ -217,7 +217,7 @@ class WholeEvent(Front):
         """Refuse gauges and ends, which need the model of one front."""
         super().check(m, names)
         if m.gauges is not None or m.block_length is not None or m.machine_stiffness is not None:
-            raise ValueError("event = 'full': gauges, block_length and machine_stiffness need the model of one front")
+            raise ValueError(f"event = {self.event!r}: gauges, block_length and machine_stiffness need the model of one front")
 
     def values(self, inputs: Inputs) -> np.ndarray:
         """ℓ times `over_front`.

@@ -50,6 +50,10 @@ class Length(Observable):
         """Lengths of many lanes, as the model computes them."""
         return model.evaluate(inputs, along)
 
+    def of_drawn(self, inputs: Inputs) -> Any:
+        """What is drawn is over this: H, in λc."""
+        return jnp.exp(inputs.log_height)
+
     def in_table(self, m: Measurements) -> tuple[np.ndarray, str]:
         """λc in the unit of the table, and that unit."""
         return m.unit
@@ -82,6 +86,10 @@ class Length(Observable):
             )
         return rows
 
+    def notes(self, result: "FitResult") -> Iterator[str]:
+        """What the model has to say."""
+        return result.parameters.front.remarks(result.measurements)
+
     def details(self, result: "FitResult") -> Iterator[str]:
         """Broken contacts, and the longest length of each measurement."""
         m, (scale, unit) = result.measurements, result.measurements.unit
@@ -113,7 +121,7 @@ class Count(Length):
 
         With a blur σ; of a count of 1 ln Φ((1 − μ)/σ).
         """
-        value, blur = read.value, jnp.maximum(read.sigma, self.sharpest)
+        value, blur = read.value, jnp.maximum(blurred(predicted, read), self.sharpest)
         finite = jnp.isfinite(predicted.mean)
         inside = jnp.where(finite, predicted.mean, value)
         a, b = (value - 1 - inside) / blur, (value - inside) / blur
@@ -151,7 +159,7 @@ class Limit(Length):
         """Ln Φ((μ − value)/σ); 0 where the front never stops."""
         finite = jnp.isfinite(predicted.mean)
         off = jnp.where(finite, predicted.mean, read.value) - read.value
-        cost = -log_ndtr(off / jnp.maximum(read.sigma, SHARPEST))
+        cost = -log_ndtr(off / jnp.maximum(blurred(predicted, read), SHARPEST))
         return -weighted(jnp.where(finite, cost, jnp.where(jnp.isnan(predicted.mean), jnp.inf, 0)), read.weight)
 
     def outside(self, off: np.ndarray) -> np.ndarray:
@@ -161,6 +169,11 @@ class Limit(Length):
     def simulated(self, drawn: np.ndarray, value: np.ndarray) -> np.ndarray:
         """The same limit again."""
         return np.broadcast_to(value, drawn.shape)
+
+
+def blurred(predicted: Prediction, read: Reading) -> Array:
+    """Errors of reading, and of what the model leaves open."""
+    return read.sigma if predicted.covariance is None else jnp.sqrt(read.sigma**2 + jnp.diag(predicted.covariance))
 
 
 def log_ndtr(x: ArrayLike) -> Array:

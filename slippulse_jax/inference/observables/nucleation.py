@@ -22,6 +22,7 @@ class Displacement(Observable):
     name = noun = "displacement"
     column = COLUMNS["displacement"]
     acts: ClassVar[Mapping[str, float]] = {"strength": 1, "areal_stiffness": -1}
+    drawn_as = 2
 
     def predict(self, model: Front, inputs: Inputs, relaxed: bool, *options: Any) -> Array:
         """Displacement in u_s = f_s/k."""
@@ -35,6 +36,7 @@ class Force(Observable):
     column = COLUMNS["force"]
     acts: ClassVar[Mapping[str, float]] = {"strength": 1, "correlation_length": 1}
     added = "force_offset"
+    drawn_as = 1
 
     def check(self, m: Measurements, names: Collection[str]) -> None:
         """Refuse later events: the model is of the first."""

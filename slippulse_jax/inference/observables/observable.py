@@ -31,11 +31,25 @@ SHARPEST = 1e-4
 """Blur, in λc, used for σ = 0 at the ends of a count's interval, so that the likelihood has a slope there."""
 
 
+class Draws(NamedTuple):
+    """What n data may be on contacts that differ: K draws."""
+
+    value: Any  # (n, K)
+    stops: Any  # (n, K), whether it is a number, and not inf
+    width: Any  # (n, K), of what stands for each in the density
+    weight: Any  # (n, K), how probable each is
+    group: Any  # (n,), number of the event that each datum belongs to, less than n
+
+
 class Prediction(NamedTuple):
     """What a model says of n data at one θ."""
 
     mean: Any  # (n,), inf where a front never stops, or nothing is known
     covariance: Any = None  # (n, n), of what the model leaves open; None where it is exact
+    draws: Draws | None = None  # where the data are draws
+    heavy: Any = (
+        None  # (n,), above 0 where the error has heavy tails, in the order in which each follows on others; None without
+    )
 
 
 class Reading(NamedTuple):
@@ -64,7 +78,10 @@ class Observations(NamedTuple):
         """Convert a prediction to the unit of the data."""
         size, covariance = jnp.exp(self.scale(theta)), found.covariance
         covariance = None if covariance is None else covariance * size[:, None] * size[None]
-        return Prediction(found.mean * size + self.offset(theta), covariance)
+        offset, draws = self.offset(theta), found.draws
+        if draws is not None:
+            draws = draws._replace(value=draws.value * size[:, None] + offset[:, None], width=draws.width * size[:, None])
+        return found._replace(mean=found.mean * size + offset, covariance=covariance, draws=draws)
 
     def reading(self, value: Any = None, weight: Any = None) -> Reading:
         """Readings as measured, or of a replicate."""
@@ -79,6 +96,7 @@ class Observable:
     """
 
     loss: Loss = "normal"
+    drawn: bool = False  # whether the model draws its data, of contacts that differ
 
     name: ClassVar[str]
     noun: ClassVar[str]  # one datum in words, as "length"
@@ -87,6 +105,7 @@ class Observable:
     is_value: ClassVar[bool] = True  # whether a datum is a value with an error, and no interval
     inputs: ClassVar[Mapping[str, Input]] = {}  # beside those of the model
     outputs: ClassVar[int] = 0  # of an emulator for each datum; 0 where predictions are exact
+    drawn_as: ClassVar[int] = 0  # which number of an event that was drawn it is
     counts: ClassVar[bool] = False  # whether a datum is a number of contacts
     steps: ClassVar[bool] = False  # whether predictions step from contact to contact
     acts: ClassVar[Mapping[str, float]] = {}  # what a unit of θ adds to ln of the unit of the data, by parameter
@@ -138,9 +157,13 @@ class Observable:
         self, q: "ParameterSet", rows: np.ndarray, value: np.ndarray, sigma: np.ndarray, inputs: Inputs, **more: np.ndarray
     ) -> Observations:
         """Collect data, with each distinct input once."""
-        given = [inputs.get(name) for name in inputs.names]
-        key = np.concatenate([np.column_stack([one.base, one.slope]) for one in given], axis=1)
-        _, first, own = np.unique(key, axis=0, return_index=True, return_inverse=True)
+        if self.drawn:  # of one event, whatever was measured of it
+            found, own = q.inputs.distinct()
+            m = q.measurements
+            kept = [m.specimen.index(m.specimen[i]) if m.thresholds and m.thresholds[i] == "kept" else i for i in range(len(m))]
+            own, more = own[rows], {**more, "group": np.array(kept)[rows]}
+        else:
+            found, own = inputs.distinct()
         scale = q.linear(*self.unit(q.measurements))
         offset = q.linear(np.zeros(len(scale.base)), {self.added: 1} if self.added else {})
         return Observations(
@@ -149,8 +172,8 @@ class Observable:
             sigma=sigma,
             weight=np.ones((1, len(rows))),
             measurement=rows,
-            inputs=inputs.take(first),
-            rows=own.ravel(),
+            inputs=found,
+            rows=own,
             scale=scale[rows],
             offset=offset[rows],
             more=more,
@@ -168,7 +191,7 @@ class Observable:
     @property
     def emulated(self) -> bool:
         """Whether an emulator predicts it, with an error of its own."""
-        return self.outputs > 0
+        return self.outputs > 0 or self.drawn
 
     def predict(self, model: Front, inputs: Inputs, relaxed: bool, *options: Any) -> Array:
         """Predict one row of inputs, in JAX.
@@ -192,9 +215,18 @@ class Observable:
     def emulate(self, outputs: Outputs, inputs: Inputs, data: Observations, *, single: bool = False) -> Prediction:
         """Predict by the outputs of emulators, or of `single` points.
 
-        One for each row of inputs.
+        One for each row of inputs. Here by draws (`model.scattered.Drawn`).
         """
-        raise NotImplementedError
+        one = jax.tree.map(lambda x: x[data.rows], outputs)
+        size, which = self.of_drawn(inputs)[data.rows], self.drawn_as
+        stops = jnp.isfinite(one.value[:, which])  # inf times a slope of 0 is NaN
+        one = one._replace(value=jnp.where(jnp.isfinite(one.value), one.value, 0))
+        mean, spread, value, width = (x[:, which] * size.reshape(-1, *[1] * (x.ndim - 2)) for x in one[:4])
+        return Prediction(mean, jnp.diag(spread**2), Draws(value, stops, width, one.weight, 1.0 * data.more["group"]))
+
+    def of_drawn(self, inputs: Inputs) -> Any:
+        """What draws are over: the prediction of contacts that are alike."""
+        return jax.vmap(lambda one: self.predict(Front(), one, False))(inputs)
 
     def read_series(self, series: Any, sites: np.ndarray, inputs: Inputs, more: Mapping[str, np.ndarray]) -> np.ndarray:
         """Read outputs of n data of one unit from t points.
@@ -205,6 +237,29 @@ class Observable:
 
     # --- density
 
+    def of_events(self, mean: Array, width: Array, read: Reading, group: Array, count: int) -> Float[Array, "e K"]:
+        """Log density of all that was read of each event.
+
+        By means of n readings, (n, K), with an error that those of one of the `count` events share; `group` is the event of
+        each.
+        """
+
+        def added(x: Array) -> Array:
+            return jax.ops.segment_sum(x, group, count)
+
+        def alone(mean: Array, width: Array, *datum: Array) -> Array:
+            return self.log_density(Prediction(mean[None], width[None, None] ** 2), Reading(*(x[None] for x in datum)))
+
+        if not self.is_value:
+            return added(jax.vmap(jax.vmap(alone, (0, 0, None, None, None)))(mean, width, *read))
+        there = jnp.isfinite(mean)
+        each = (read.weight / read.sigma**2)[:, None]
+        off = jnp.where(there, read.value[:, None] - jnp.where(there, mean, 0), 0)
+        known, first, second = map(added, (jnp.broadcast_to(each, off.shape), each * off, each * off**2))
+        shared = jnp.zeros_like(known).at[group].set(width**2)
+        found = -(second - shared * first**2 / (1 + shared * known) + jnp.log1p(shared * known)) / 2
+        return jnp.where(added(jnp.where(there, 0.0, each)) > 0, -jnp.inf, found)
+
     def log_density(self, predicted: Prediction, read: Reading) -> Float[Array, ""]:
         """Log density of readings, without the constant of errors of reading alone."""
         finite = jnp.isfinite(predicted.mean)
@@ -212,9 +267,13 @@ class Observable:
         if predicted.covariance is None:
             cost = loss_of((off / read.sigma) ** 2 / 2, self.loss)
             return -weighted(jnp.where(finite, cost, jnp.inf), read.weight)
-        used = read.weight > 0
-        off, log_det = whitened(_left(predicted.covariance, read.sigma, used), jnp.where(used, off, 0)[:, None])
-        cost = jnp.square(off).sum() / 2 + log_det - jnp.where(used, jnp.log(read.sigma), 0).sum()
+        used, heavy = read.weight > 0, jnp.zeros(len(off)) if predicted.heavy is None else predicted.heavy
+        last = jnp.argsort(heavy, stable=True)  # those with heavy tails, each given all before it
+        left = _left(predicted.covariance, read.sigma, used)[last][:, last]
+        off, log_det = whitened(left, jnp.where(used, off, 0)[last, None])
+        half = jnp.square(off[:, 0]) / 2
+        cost = jnp.where(heavy[last] > 0, loss_of(half, "student"), half).sum()
+        cost = cost + log_det - jnp.where(used, jnp.log(read.sigma), 0).sum()
         return -jnp.where((finite | ~used).all(), cost, jnp.inf)
 
     def perfect(self, read: Reading) -> np.ndarray:

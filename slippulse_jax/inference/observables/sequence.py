@@ -4,6 +4,7 @@ An event that reached ℓ at the force F says that the front first reaches ℓ a
 place, never by the number of the event.
 """
 
+import itertools
 from collections.abc import Collection, Iterator, Mapping
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
@@ -11,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from slippulse_jax.inference.model.emulator import UNSURE, Outputs
-from slippulse_jax.inference.model.inputs import Inputs
+from slippulse_jax.inference.model.inputs import Inputs, Linear
 from slippulse_jax.inference.model.series import SITES, Followed
 from slippulse_jax.inference.observables.observable import Observable, Observations, Prediction
 from slippulse_jax.inference.table.columns import COLUMNS, NUMERIC, OVER_ALL
@@ -26,7 +27,9 @@ ROUGHNESS = 0.01
 NEAR_END = 0.05
 """Part of the block within which a length that is stated of an event that spans is its end."""
 VISIBLE = 1.5
-"""Contacts by which an event advances, at least, to be seen."""
+"""Contacts by which an event advances, at least, to be seen; where no other advance is stated."""
+AT_PLACE = 2.0
+"""Errors of a place within which an event that ends there is the one that was listed."""
 
 
 class Record(NamedTuple):
@@ -37,6 +40,7 @@ class Record(NamedTuple):
     error: np.ndarray  # of the place; 0 where the event spans
     first: np.ndarray  # whether it is the first event of its sequence, by its number
     heads: np.ndarray  # the first row of each sequence
+    visible: np.ndarray  # least advance that is listed as an event, over the length of the block; 0 where it is not stated
 
 
 def record_of(m: Measurements) -> Record:
@@ -50,7 +54,8 @@ def record_of(m: Measurements) -> Record:
     # of a front between two contacts; and of contacts of another size
     own = np.where(ends > SITES, 1.0, 0.5) / np.minimum(ends, SITES)
     error = np.where(spans, 0.0, np.hypot(np.nan_to_num(m.sigma) / ends, own))
-    return Record(run, place, error, m.or_zero("event") == 1, np.unique(run, return_index=True)[1])
+    visible = np.nan_to_num(m.or_zero("visible") / ends)
+    return Record(run, place, error, m.or_zero("event") == 1, np.unique(run, return_index=True)[1], visible)
 
 
 class OfSequence(Observable):
@@ -62,6 +67,11 @@ class OfSequence(Observable):
         """Collect data of rows, with the inputs of each sequence once."""
         found = self.observations(q, rows, value, sigma, q.inputs.take(rows), **more)
         return found._replace(inputs=q.inputs.take(record.heads), rows=record.run[rows])
+
+
+def least_of(sites: np.ndarray, more: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Least advance of a listed event over the length, (t,)."""
+    return np.maximum(VISIBLE / sites, more["visible"].max())
 
 
 class PlaceForce(OfSequence):
@@ -83,7 +93,7 @@ class PlaceForce(OfSequence):
 
         And the width, if only one of the two is stated over all of it.
         """
-        force, load = (float(m.heading(name).endswith(OVER_ALL)) for name in ("force", "normal_load"))
+        force, load = (float(m.heading(name).endswith(OVER_ALL)) for name in (self.column.quantity, "normal_load"))
         base = np.zeros(len(m)) if m.normal_load is None else np.log(m.normal_load)
         return base, {**self.acts, "block_width": force - load}
 
@@ -109,6 +119,7 @@ class PlaceForce(OfSequence):
         record, rows = record_of(m), np.arange(len(m))
         numbered = np.full(len(m), m.event is not None)
         read_as = {"place": record.place, "error": record.error, "numbered": numbered, "first": record.first}
+        read_as |= {"visible": record.visible, "spans": np.array(m.kind) == "at_least"}
         return self.of_run(q, rows, value, sigma, record, **read_as)
 
     def read_series(self, series: Followed, sites: np.ndarray, inputs: Inputs, more: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -118,9 +129,9 @@ class PlaceForce(OfSequence):
         found = series.force_at(place, more["error"])
         ends = more["numbered"] & arrested
         if ends.any():
-            found[:, :, ends] = series.force_of_arrest(place[:, ends], more["error"][ends], VISIBLE / sites)
+            found[:, :, ends] = series.force_of_arrest(place[:, ends], more["error"][ends], least_of(sites, more))
         if (own := more["first"] & ends).any():
-            found[0][:, own], found[1][:, own] = series.first(VISIBLE / sites)[1][:, None], 0.0
+            found[0][:, own], found[1][:, own] = series.first(least_of(sites, more))[1][:, None], 0.0
         return np.moveaxis(found, 0, -1) * inputs.get("friction")[:, None, None]
 
     rows_are = "forces"
@@ -172,11 +183,79 @@ class PlaceForce(OfSequence):
     def emulate(self, outputs: Outputs, inputs: Inputs, data: Observations, *, single: bool = False) -> Prediction:
         """Predict forces, with errors of places, model and emulator.
 
-        Neighbours, which may be of one event, err together.
+        Neighbours, which may be of one event, err together. Tails are heavy where thresholds scatter, and of the force at which
+        a block is spanned: it jumps as the last event becomes another.
         """
         friction, rough = inputs.get("friction")[data.rows], ROUGHNESS * single
         own = outputs.mean[data.rows, data.more["column"] + 1] ** 2
         own = own + friction**2 * (inputs.get("model_error")[data.rows] ** 2 + rough**2)
+        heavy = data.more["spans"] | (inputs.get("log_scatter")[data.rows] > -jnp.inf)
+        found = joint(outputs, data)
+        return Prediction(found.mean, found.covariance + jnp.diag(own), heavy=jnp.where(heavy, 1 + data.more["place"], 0))
+
+
+class LargestForce(OfSequence):
+    """Largest force since the start of a run, up to an event.
+
+    Of an event whose own force that is, that less its own: no force before was larger.
+    """
+
+    name = "largest_force"
+    noun = "largest force"
+    column = COLUMNS["largest_force"]
+    outputs = 1
+    acts = PlaceForce.acts
+    added = PlaceForce.added
+    unit = PlaceForce.unit
+
+    def check(self, m: Measurements, names: Collection[str]) -> None:
+        """Refuse a largest force below one that came before."""
+        if (most := m.largest_force) is None:
+            return
+        record = record_of(m)
+        later = record.place if m.event is None else m.event
+        for run in range(record.run.max() + 1):
+            rows = np.flatnonzero((record.run == run) & np.isfinite(most))
+            order = rows[np.argsort(later[rows], kind="stable")]
+            for i in order[1:][np.diff(most[order]) < 0].tolist():
+                raise ValueError(f"{m.place(i)}, column {m.heading('largest_force')}: less than of an event or place before")
+
+    def data(self, m: Measurements, q: "ParameterSet") -> Observations | None:
+        """One datum for each row, with the error of its force."""
+        if m.largest_force is None or not np.isfinite(m.largest_force).any():
+            return None
+        record, rows = record_of(m), np.flatnonzero(np.isfinite(m.largest_force))
+        most, force = m.largest_force[rows], m.or_zero("force")[rows]
+        own = np.isclose(most, force, rtol=1e-9)
+        ends = m.event is not None and record.error[rows] > 0
+        read_as = {"place": record.place, "error": record.error, "first": record.first, "visible": record.visible}
+        more = {name: x[rows] for name, x in read_as.items()} | {"own": own, "numbered": np.full(len(rows), ends)}
+        found = self.of_run(q, rows, np.where(own, 0.0, most), m.or_zero("force_sigma")[rows], record, **more)
+        zero = found.offset  # of the load cell, which a difference has not
+        return found._replace(offset=Linear(zero.base * ~own, zero.slope * ~own[:, None]))
+
+    def read_series(self, series: Followed, sites: np.ndarray, inputs: Inputs, more: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Largest forces over the normal load.
+
+        Or by how much they exceed those of their events.
+        """
+        largest = series._replace(force=np.fmax.accumulate(series.force, axis=1))
+        arrested = more["error"] > 0
+        place = more["place"] * np.exp(-inputs.get("log_extent")[:, None] * arrested)
+        found = largest.force_at(place, more["error"])[0] * inputs.get("friction")[:, None]
+        force = PlaceForce().read_series(series, sites, inputs, more)[..., 0]
+        return np.where(more["own"], np.maximum(found - force, 0.0), found)[..., None]
+
+    def shown(self, m: Measurements, one: "Compared") -> tuple[np.ndarray, np.ndarray, np.ndarray, str]:
+        """Forces in the unit of the table."""
+        (size, unit), rows = m.unit_of_force, one.measurement
+        least = np.where(one.value == 0, m.or_zero("force")[rows], 0.0)
+        return (one.value + least) * size[rows], one.sigma * size[rows], (one.fitted + least) * size[rows], unit
+
+    def emulate(self, outputs: Outputs, inputs: Inputs, data: Observations, *, single: bool = False) -> Prediction:
+        """Predict forces, with errors of model and emulator."""
+        friction = inputs.get("friction")[data.rows]
+        own = friction**2 * (inputs.get("model_error")[data.rows] ** 2 + (ROUGHNESS * single) ** 2)
         found = joint(outputs, data)
         return Prediction(found.mean, found.covariance + jnp.diag(own))
 
@@ -199,11 +278,11 @@ class FirstLength(OfSequence):
         if not rows.size or m.block_length is None:
             return None
         value = np.log(m.length[rows] / m.block_length[rows])
-        return self.of_run(q, rows, value, m.sigma[rows] / m.length[rows], record)
+        return self.of_run(q, rows, value, m.sigma[rows] / m.length[rows], record, visible=record.visible[rows])
 
     def read_series(self, series: Followed, sites: np.ndarray, inputs: Inputs, more: Mapping[str, np.ndarray]) -> np.ndarray:
         """The first length that is seen; without an event none."""
-        length, _ = series.first(VISIBLE / sites)
+        length, _ = series.first(least_of(sites, more))
         with np.errstate(divide="ignore"):
             return (np.log(length) + inputs.get("log_extent"))[:, None, None]
 
@@ -216,6 +295,61 @@ class FirstLength(OfSequence):
     def emulate(self, outputs: Outputs, inputs: Inputs, data: Observations, *, single: bool = False) -> Prediction:
         """The length, with how far series lie from the emulator."""
         return joint(outputs, data)
+
+
+class Between(OfSequence):
+    """How far an event between two listed ones advances, beyond `visible`.
+
+    Over the length of the block; where `visible` is stated there is none.
+    """
+
+    name = framed = "between"
+    noun = "unlisted advance"
+    column = COLUMNS["visible"]
+    outputs = 1
+
+    def data(self, m: Measurements, q: "ParameterSet") -> Observations | None:
+        """A datum for each number that follows on another, or is 1."""
+        if m.event is None or m.visible is None:
+            return None
+        record, rows, last = record_of(m), [], []
+        for run in range(record.run.max() + 1):
+            own = np.flatnonzero((record.run == run) & (record.visible > 0))
+            own = own[np.argsort(m.event[own], kind="stable")]
+            number = {-1: 0.0} | dict(
+                zip(own.tolist(), m.event[own].tolist(), strict=True)
+            )  # before the first there is the edge
+            pairs = [(i, j) for j, i in itertools.pairwise(number) if number[i] == number[j] + 1]
+            rows, last = rows + [i for i, _ in pairs], last + [j for _, j in pairs]
+        if not rows:
+            return None
+        known = {name: np.append(getattr(record, name), 0.0) for name in ("place", "error")}
+        more = {f"{name}{after}": x[at] for name, x in known.items() for after, at in (("", rows), ("_before", last))}
+        sigma = np.hypot(more["error"], more["error_before"])
+        some = np.array(rows)
+        return self.of_run(q, some, np.zeros(len(some)), sigma, record, visible=record.visible[some], **more)
+
+    def read_series(self, series: Followed, sites: np.ndarray, inputs: Inputs, more: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Largest advance of events that end between two places."""
+        long = np.exp(-inputs.get("log_extent"))[:, None]
+        low, high = (
+            np.where(error > 0, place * long, place) + side * AT_PLACE * error
+            for place, error, side in ((more["place_before"], more["error_before"], 1), (more["place"], more["error"], -1))
+        )
+        ends = series.reached[:, None]
+        advance = np.where((ends > low[..., None]) & (ends < high[..., None]), series.advance[:, None], 0.0).max(axis=-1)
+        return np.maximum(advance - more["visible"], 0.0)[..., None]
+
+    def shown(self, m: Measurements, one: "Compared") -> tuple[np.ndarray, np.ndarray, np.ndarray, str]:
+        """Advances in the unit of the table."""
+        (scale, unit), rows = m.unit, one.measurement
+        size = m.or_zero("block_length")[rows] * scale[rows]
+        most = m.or_zero("visible")[rows] * scale[rows]
+        return most, size * one.sigma, most + size * one.fitted, unit
+
+    def emulate(self, outputs: Outputs, inputs: Inputs, data: Observations, *, single: bool = False) -> Prediction:
+        """The advance: none of most series, large of some."""
+        return joint(outputs, data)._replace(heavy=1 + data.more["place"])
 
 
 def joint(outputs: Outputs, data: Observations) -> Prediction:
@@ -252,7 +386,7 @@ def _check_alike(m: Measurements) -> None:
     for i in (i for i, key in enumerate(keys) if m.event is not None and key in keys[:i]):
         again = f"{keys[i][1]:g}: a second time; name the runs in a column sequence"
         raise ValueError(f"{m.place(i)}, column {m.heading('event')}: {again}")
-    one_of = set(NUMERIC) - {"length", "length_sigma", "force", "force_sigma", "event"}
+    one_of = set(NUMERIC) - {"length", "length_sigma", "force", "force_sigma", "largest_force", "event"}
     for name in (name for name in NUMERIC if name in one_of and getattr(m, name) is not None):
         x = np.nan_to_num(getattr(m, name), nan=-1.0)
         first = x[[int(np.argmax(run == one)) for one in run]]

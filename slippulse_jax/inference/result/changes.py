@@ -20,6 +20,7 @@ from slippulse_jax.inference.model.block import BlockEvent
 from slippulse_jax.inference.model.emulator import Points
 from slippulse_jax.inference.model.front import IMPROBABLE, Front
 from slippulse_jax.inference.model.models import front_for, front_of
+from slippulse_jax.inference.model.scattered import HALF, visible
 from slippulse_jax.inference.parameters import (
     HEIGHTS,
     MODEL_ERROR,
@@ -29,7 +30,7 @@ from slippulse_jax.inference.parameters import (
     parameter_set,
 )
 from slippulse_jax.inference.search.intervals import LEVELS, Interval, Intervals
-from slippulse_jax.inference.search.learning import followed, learnt, model_error_of, single, with_model_error
+from slippulse_jax.inference.search.learning import about, followed, learnt, model_error_of, single, with_model_error
 from slippulse_jax.inference.search.likelihood import Problem, make_problem
 from slippulse_jax.inference.search.minima import DevianceGrid, between_contacts, first_look, ordered, search
 from slippulse_jax.inference.search.minimise import minimise
@@ -55,7 +56,7 @@ PRESSED, NORMAL = (0.3, 0.6), (1.0, 1.4)
 """Friction coefficients tried where a table of a block states none, and k_n/k where one with friction states none."""
 SPRUNG = f"k_n/k = 1 or 1.4, not {USUAL_NORMAL_STIFFNESS:g} (column normal_stiffness)", *(f"{ratio:g}" for ratio in NORMAL)
 """How the report calls these k_n/k."""
-SCATTER, MOST_SCATTER = 0.05, 0.29
+SCATTER, MOST_SCATTER, ALIKE = 0.05, 0.29, "contacts that are alike"
 """How thresholds of contacts are tried to scatter; twice what is held, if more, and at most this."""
 KEPT = 0.1
 """Share of their strength that contacts are tried to keep, beyond what is stated or held."""
@@ -108,7 +109,9 @@ def find_changes(result: "FitResult") -> list[Change]:
     """List what would move the parameters, largest first."""
     if not result.moved:
         return []
-    if result.problem.emulates:
+    if result.parameters.front.drawn:
+        every = [*_of_draws(result)]
+    elif result.problem.emulates:
         every = [*_of_sequence(result)]
     else:
         every = [*_of_inputs(result), *_of_ends(result), *_of_bodies(result), *_of_contacts(result)]
@@ -129,16 +132,39 @@ def _of_sequence(result: "FitResult") -> Iterator[Change]:
     if m.normal_stiffness is None:
         rows["normal_stiffness"] = SPRUNG[0], [dataclasses.replace(m, normal_stiffness=np.full(len(m), x)) for x in NORMAL]
     if "force_offset" not in beside:
-        zero = dataclasses.replace(m, force=force + 0.01 * force.max())
+        off = 0.01 * force.max()
+        largest = None if m.largest_force is None else m.largest_force + off
+        zero = dataclasses.replace(m, force=force + off, largest_force=largest)
         rows["force_offset"] = "zero of the load cell off by 1 % of the largest force", [zero]
     for name, moves in _shifted(result, {name: tables for name, (_, tables) in rows.items()}).items():
         opposite = {one: -by[0] for one, by in moves.items()} if name in USUAL else {}
         yield Change(name, rows[name][0], moves, opposite, tried=SPRUNG[1:] if len(rows[name][1]) > 1 else ())
-    scatter = min(max(SCATTER, 2 * q.inputs.at(result.theta).get("threshold_scatter")[0]), MOST_SCATTER)
-    what = f"thresholds that scatter by {100 * scatter:.2g} % from contact to contact"
+    scatter = min(max(SCATTER, 2 * math.exp(q.inputs.at(result.theta).get("log_scatter")[0])), MOST_SCATTER)
+    scatter = 0.0 if "threshold_scatter" in q.names else scatter
+    what = f"thresholds that scatter by {100 * scatter:.2g} % from contact to contact" if scatter else ALIKE
     yield _followed(result, "threshold_scatter", what, scattered(q.wanted, scatter))
     if (more := _keeping_more(result)) is not None:
         yield _followed(result, "residual_strength", *more)
+
+
+def _of_draws(result: "FitResult") -> Iterator[Change]:
+    """What may be noticed, and contacts that are alike; by fits again."""
+    m, q = result.measurements, result.parameters
+    moves: dict[str, tuple[float, ...]] = dict.fromkeys(result.moved, ())
+    tried = "half", "twice"
+    for factor in (1 / HALF, HALF):
+        other = dataclasses.replace(m, visible=factor * visible(m))
+        problem = learnt(make_problem(other, parameter_set(other, q.wanted, q.front, q.observables)), result.request["seed"])
+        theta = search(problem, method="lm", max_steps=MOST_STEPS, seed=0).theta
+        if ((np.array(m.kind) == "length") & (m.length < visible(other))).any():  # which were seen
+            theta = np.full(len(theta), np.nan)
+        moves = {one: (*by, float(theta[q.index(one)] - result.theta[q.index(one)])) for one, by in moves.items()}
+    yield Change("visible", f"events that would be noticed from {either(tried)} of that extent on", moves, tried=tried)
+    wanted = [one for one in q.wanted if one.name != "threshold_scatter"]
+    stiff = [name for name in result.moved if q.named(name).name in STIFFNESSES]
+    if q.front.body == "slider" and stiff:
+        front = front_for("slider", "full", m)
+        yield _again(result, "threshold_scatter", ALIKE, [m], stiff, wanted=wanted, front=front)
 
 
 def _keeping_more(result: "FitResult") -> tuple[str, list[Parameter], Measurements] | None:
@@ -158,10 +184,10 @@ def _keeping_more(result: "FitResult") -> tuple[str, list[Parameter], Measuremen
 
 def _followed(result: "FitResult", name: str, what: str, wanted: Sequence[Parameter], m: Measurements | None = None) -> Change:
     """Fit sequences again, over the whole range."""
-    q = result.parameters
     problem, theta, deviance = followed_again(result, wanted, m)
-    off = theta - result.theta if problem.accepts(theta, deviance) else np.full(len(theta), np.nan)
-    return Change(name, what, {one: (float(off[q.index(one)]),) for one in result.moved})
+    found = theta if problem.accepts(theta, deviance) else np.full(len(theta), np.nan)
+    index, before = problem.parameters.index, result.parameters.index
+    return Change(name, what, {one: (float(found[index(one)] - result.theta[before(one)]),) for one in result.moved})
 
 
 def scattered(wanted: Iterable[Parameter], scatter: float) -> list[Parameter]:
@@ -187,9 +213,7 @@ def _shifted(result: "FitResult", changed: dict[str, list[Measurements]]) -> dic
     breaks.
     """
     problem, q, at = result.problem, result.parameters, result.theta[None]
-    covariance = np.linalg.pinv(problem(at, order=1).metric[0], rcond=1e-9, hermitian=True)
-    near = np.random.default_rng(0).multivariate_normal(result.theta, covariance, SERIES, method="eigh")
-    near, moves = np.clip(near, q.low, q.high), {}
+    near, moves = about(problem, result.theta, SERIES), {}
     still = _near(problem, result.measurements, near)
     for name, tables in changed.items():
         moved = []
@@ -366,6 +390,8 @@ def _moved(m: Measurements, name: str, by: float) -> Measurements:
         return dataclasses.replace(m, poisson=m.poisson + by)
     factor, counted = np.exp(by), np.array(m.kind) == "whole"
     changed = {name: getattr(m, name) * factor}
+    if name == "force" and m.largest_force is not None:
+        changed["largest_force"] = m.largest_force * factor
     if name == "correlation_length":
         changed |= {one: getattr(m, one) / factor for one in IN_LC if getattr(m, one) is not None}
     for column in {"length", "length_sigma"} & {*changed}:
@@ -455,10 +481,9 @@ def _of_contacts(result: "FitResult") -> Iterator[Change]:
         what, wanted, keeping = more
         body = BlockEvent(keeping, tried=True) if front.body == "block" else None
         yield _again(result, "residual_strength", what, [keeping], result.moved, wanted=wanted, front=body)
-    if stiff and front.event in ("domino", "full"):  # not studied for others
-        ends = tuple(-math.log1p(-share) for share in (0.6, 0.8))  # of the stiffness (docs/appendix/scatter.md)
-        what = "thresholds that scatter by 5 % between contacts (found for sliders of b = 0.3 to 3)"
-        yield Change("threshold", what, dict.fromkeys(stiff, ends))
+    if stiff and front.event in ("domino", "full"):
+        what = "thresholds that scatter from contact to contact (free threshold_scatter)"
+        yield Change("threshold_scatter", what, dict.fromkeys(stiff, (math.nan,)), otherwise="not computed")
 
 
 # --- errors with those of inputs ------------------------------------------------------------------------------------------

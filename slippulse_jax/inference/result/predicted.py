@@ -66,7 +66,7 @@ class LengthCurve:
             free, pieces = result.parameters.free[0], result.intervals[result.names[0]][level]
             each = [np.linspace(free.theta(piece.low), free.theta(piece.high), 25)[:, None] for piece in pieces]
             return [(family.min(axis=0), family.max(axis=0)) for family in map(self._lengths, each)]
-        if result.covariance is None:
+        if result.covariance is None or result.parameters.front.drawn:  # one curve is no draw
             return []
         step = 1e-3 * np.sqrt(np.diag(result.covariance))
         middle = self._lengths(result.theta)

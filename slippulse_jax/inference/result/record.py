@@ -20,8 +20,9 @@ from slippulse_jax.inference.choices import Loss
 from slippulse_jax.inference.model.emulator import Points, through
 from slippulse_jax.inference.model.front import Front
 from slippulse_jax.inference.model.models import front_of
-from slippulse_jax.inference.parameters import Parameter, checked, with_errors_of_measuring
+from slippulse_jax.inference.parameters import Parameter, checked, where_contacts_differ, with_errors_of_measuring
 from slippulse_jax.inference.result.changes import Change
+from slippulse_jax.inference.search.learning import learnt as learnt_again
 from slippulse_jax.inference.search.learning import model_error_of, with_model_error
 from slippulse_jax.inference.search.likelihood import make_problem
 from slippulse_jax.inference.table.columns import GAUGE_COLUMNS, NUMERIC
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 
 Record = TypeVar("Record")
 
-SCHEMA = 2
+SCHEMA = 3
 """Version of the record: larger where its form has changed."""
 SETTINGS = ("loss", "sigma", "method", "max_steps", "seed", "intervals", "event", "body", "model_error", "observables")
 """Arguments of a fit that a request holds beside its parameters."""
@@ -146,11 +147,12 @@ def to_dict(result: "FitResult") -> dict[str, Any]:
         },
     }
     problem, learnt = result.problem, {}
-    if (emulator := problem.emulator) is not None:
+    if (emulator := problem.emulator) is not None and not result.parameters.front.drawn:
         learnt = {"points": problem.points, "known": problem.known, "model_error": model_error_of(problem)}
         learnt |= {"count": emulator.place.shape[1], "reach": emulator.reach, "scatter": emulator.scatter}
     after = {
         "learnt": encode(learnt) or None,
+        "simulated": problem.simulated and [*problem.simulated],
         "changes": encode(result.changes),
         "next_steps": result.next_steps,
         "data_sha256": data_hash(result.measurements),
@@ -165,11 +167,13 @@ def of_dict(kind: type[Record], content: dict[str, Any]) -> tuple[Record, dict[s
     `kind` is `FitResult`. A ValueError if this version has no model for it.
     """
     request: dict[str, Any] = {"event": None, "body": None} | from_request(content["request"])
-    if request.get("loss", "normal") not in get_args(Loss):
-        raise ValueError(f"loss = {request['loss']!r}, which this version does not have: repeat the fit with another")
+    if (loss := request.get("loss", "normal")) not in get_args(Loss):
+        raise ValueError(f"loss = {loss!r}, which this version does not have: repeat the fit with another")
     m = decode(Measurements, content["measurements"])
     size_known = m.length_sigma is not None and request["sigma"] == "absolute"
     front = front_of(m, request["event"], request["body"])
+    how = size_known and loss == "normal"
+    front = where_contacts_differ(front, m, request["event"], request["free"], size_known=how)
     wanted = with_errors_of_measuring(m, request["free"], front, size_known=size_known)
     q = checked(m, wanted, front, loss=request["loss"])
     problem = make_problem(m, q)
@@ -180,6 +184,8 @@ def of_dict(kind: type[Record], content: dict[str, Any]) -> tuple[Record, dict[s
         problem = dataclasses.replace(
             problem, points=points, emulator=through(points, learnt["count"], like=like), known=learnt["known"]
         )
+    problem = learnt_again(problem, request["seed"]) if front.drawn else problem
+    problem = dataclasses.replace(problem, simulated=tuple(content["simulated"]) if content.get("simulated") else None)
     if content.get("between_contacts") is not None:
         problem = problem.widened(np.array(content["between_contacts"], dtype=float))
     if content.get("scatter") is not None:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from slippulse_jax.base.shown import listed, plural
-from slippulse_jax.inference.model.front import SCATTERED
+from slippulse_jax.inference.model.front import IMPROBABLE, SCATTERED
 from slippulse_jax.inference.parameters import OF_MEASURING, STIFFNESSES
 from slippulse_jax.inference.result.changes import END, MOST_CONTACTS
 from slippulse_jax.inference.result.suggestions import size_from_scatter
@@ -76,7 +76,9 @@ def _of_sigma(result: "FitResult") -> Iterator[str]:
         yield "no standard errors were given; equal ones are assumed, as large as the scatter about the fit"
     elif result.scaled:
         yield f"the stated σ are taken as relative, and scaled by {result.scatter:.3g} to the scatter about the fit"
-    if result.p_value is not None and result.problem.improbable <= result.p_value < SCATTERED:
+    if result.p_value is not None and result.problem.drawn and result.p_value < SCATTERED:
+        yield f"doubtful (p = {result.p_value:.2g}): a line may be wrong, or lengths vary with the height as no model's do"
+    elif not result.problem.emulates and result.p_value is not None and IMPROBABLE <= result.p_value < SCATTERED:
         factor = np.sqrt(result.misfit / (result.testable_dof or 1))
         taken = f"; {size_from_scatter(m)} takes its size from the scatter" * result.problem.exact_values
         larger = f"σ would have to be {factor:.2g} times as large{taken}"

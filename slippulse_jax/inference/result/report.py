@@ -13,9 +13,9 @@ import numpy as np
 
 from slippulse_jax.base.shown import AS_GIVEN, TIED, ends, format_number, html, listed, plural, value_with_error
 from slippulse_jax.block import USUAL_NORMAL_STIFFNESS
-from slippulse_jax.inference.model.front import ENDED
-from slippulse_jax.inference.parameters import STIFFNESSES
-from slippulse_jax.inference.result.changes import MANY, NARROW_PUSHER, NORMAL, STATED, Change, of_inputs
+from slippulse_jax.inference.model.front import ENDED, SCATTERED
+from slippulse_jax.inference.parameters import STIFFNESSES, USUAL_SCATTER
+from slippulse_jax.inference.result.changes import ALIKE, MANY, NARROW_PUSHER, NORMAL, STATED, Change, of_inputs
 from slippulse_jax.inference.result.values import Shown, error_source, fitted_beside, with_totals
 from slippulse_jax.inference.result.verdict import ANSWERS, FAQ, GRAVITY, Identifiability, whole_events
 from slippulse_jax.inference.search.intervals import LEVELS
@@ -37,6 +37,8 @@ CONSTANTS = {
 """Constants of the material by column: symbol, factor and unit with which papers state them."""
 FEW = 3
 """Data of one observable that are shown one by one."""
+FEW_ROWS = 8
+"""Rows of a sequence below which the misfit cannot tell whether thresholds scatter."""
 MOST_VALUES = 4
 """Most values in the title of a picture."""
 CORRELATED, MOST_CORRELATIONS = 0.5, 5
@@ -81,7 +83,8 @@ def methods(result: "FitResult") -> str:
     if result.p_value is not None:
         sign, tested = "χ²" if result.problem.plain else "deviance", result.problem.tested(result.p_value, result.testable_dof)
         tested = re.sub(r" ?\((.*)\)", r", \1", tested)
-        fits = f" ({sign} = {format_number(result.misfit, 3)}{tested})".replace(TIED, " ")
+        misfit = "" if result.problem.drawn else f"{sign} = {format_number(result.misfit, 3)}"
+        fits = f" ({(misfit + tested).removeprefix(', ')})".replace(TIED, " ")
     given, bare = [shown[name] for name in result.given], ("none", "unbounded")
     told = given or [one for one in map(shown.__getitem__, result.names) if one.intervals.get(LEVELS[-1], "none") not in bare]
     if given:
@@ -179,7 +182,7 @@ def _sentences(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
     """State verdict, what to check first, and the body, in paragraphs."""
     verdict = [*_verdicts(result, shown), _quality(result)]
     mistakes = [f"check first: {mistake}" for mistake in result.suspicions]
-    paragraphs = verdict, mistakes, _holds_for(result)
+    paragraphs = verdict, mistakes, _holds_for(result), _of_scatter(result), _as_alike(result, shown)
     return [text for texts in paragraphs if (text := " ".join(map(_prose, texts)))]
 
 
@@ -278,6 +281,43 @@ def _holds_for(result: "FitResult") -> Iterator[str]:
         yield "held: " + ", ".join(_held(result))
 
 
+def _of_scatter(result: "FitResult") -> Iterator[str]:
+    """State how contacts are taken to differ, where nobody said."""
+    if any(one.name == "threshold_scatter" for one in fitted_beside(result)):
+        usual, found = 100 * USUAL_SCATTER[0], 100 * result.inputs["threshold_scatter"]
+        off = result.measurements.option("--fix threshold_scatter=0", 'fixed={"threshold_scatter": 0}')
+        yield (
+            f"thresholds of real contacts are taken to scatter by {usual:.2g} %, within a factor of two; fitted: {found:.2g} % "
+            f"({off} takes them as alike)"
+        )
+    elif doubt := _doubt(result):
+        yield doubt
+
+
+def _doubt(result: "FitResult") -> str:
+    """Say whether contacts taken as alike may differ, if that is open."""
+    p_value = result.p_value
+    if not result.problem.alike or p_value is None or result.identifiability is Identifiability.POOR_FIT:
+        return ""
+    if p_value < SCATTERED:
+        return f"doubtful: of {1 / p_value:.2g} such tables one fits as badly, or thresholds scatter"
+    return "so few rows cannot tell whether thresholds scatter" * (len(result.measurements) < FEW_ROWS)
+
+
+def _as_alike(result: "FitResult", shown: dict[str, Shown]) -> Iterator[str]:
+    """State values if contacts were alike, or were not."""
+    open_ = bool(_doubt(result))
+    for change in (one for one in result.changes if one.what == ALIKE or (open_ and one.name == "threshold_scatter")):
+        found = []
+        for name, (by, *_) in change.moves.items():
+            one, value = shown[name], result.values[name]
+            value = value * math.exp(by) if result.parameters.named(name).log else value + by
+            found.append(
+                f"no {one.symbol} fits" if math.isnan(by) else one.equals(f"{value * one.size:.3g}".replace("e+", "e"))
+            )
+        yield f"{'if contacts were alike' if change.what == ALIKE else f'with {change.what}'}: {listed(found)}"
+
+
 def _of_real_block(change: Change, first: str = "this stiffness") -> str:
     """State the stiffness that a real block would need."""
     every = change.every
@@ -315,6 +355,7 @@ def _quality(result: "FitResult") -> str:
         fits += f" with no degree of freedom, so {why}"
     enlarged = problem.emulates or result.between_contacts is not None
     used = ", with σ enlarged (see the remarks)" if enlarged else ", with σ as given"
+    used = ", each a draw, with σ as given" if result.parameters.front.drawn else used
     return f"{data}{used * bool((m.stated_sigma > 0).any())}; {fits}"
 
 
@@ -421,9 +462,8 @@ def _moving(result: "FitResult", shown: dict[str, Shown]) -> list[str]:
         rows = [["What else would move it", f"{symbols[0]} would be"]]
     for change in result.changes:
         columns = [[*_cells(result, shown, change, name)] for name in names]
-        if change.name == "threshold" or not change.tried:  # a range; or all that there is
-            joined = [", ".join(cells) for cells in columns]
-            rows.append([f"  {change.what}", *(cell.replace(", ×", " to") for cell in joined)])
+        if not change.tried:
+            rows.append([f"  {change.what}", *(", ".join(cells) for cells in columns)])
             continue
         each, hint = zip(change.tried, itertools.zip_longest(*columns, fillvalue=""), strict=True), True
         for cells, same in itertools.groupby(each, key=lambda one: one[1]):

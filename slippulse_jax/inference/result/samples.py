@@ -231,8 +231,7 @@ def refitted(result: "FitResult", problem: Problem, count: int) -> tuple[np.ndar
 
 def simulated(result: "FitResult", count: int, rng: np.random.Generator) -> Problem:
     """Draw measurements from the fit, and inputs from their priors."""
-    problem, q = result.problem, result.parameters
-    every = []
+    problem, every = result.problem, []
     for data in problem.observed:
         mu, size = problem.predicted(result.theta, data)[0], (count, len(data.rows))
         noise = rng.standard_t(STUDENT_DOF, size) if problem.loss == "student" else rng.standard_normal(size)
@@ -242,12 +241,8 @@ def simulated(result: "FitResult", count: int, rng: np.random.Generator) -> Prob
             else None
         )
         drawn = mu + (data.sigma * noise if spread is None else noise @ spread.T)
-        every.append((data.observable.simulated(drawn, data.value[0]), np.ones(size)))
-    spread = np.array([one.prior_sigma for one in q.free])
-    means = np.repeat(problem.prior_mean, count, axis=0)
-    known = np.isfinite(spread)
-    means[:, known] = result.theta[known] + spread[known] * rng.standard_normal((count, int(known.sum())))
-    return problem.with_replicates(every, means)
+        every.append(data.observable.simulated(drawn, data.value[0]))
+    return problem.with_tables(result.theta, every, rng)
 
 
 def _resampled(result: "FitResult", count: int, rng: np.random.Generator) -> Problem:

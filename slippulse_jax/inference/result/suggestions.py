@@ -40,7 +40,7 @@ def suggestions(result: "FitResult") -> list[str]:
     at_maximum = result.identifiability is Identifiability.AT_MAXIMUM
     if not at_maximum and result.identifiability is not Identifiability.POOR_FIT:
         return []
-    rejected = p_value is not None and p_value < result.problem.improbable
+    rejected = p_value is not None and p_value < IMPROBABLE
     steps = _offered(result, [*_richer(result), *_outliers(result)]) if rejected else []
     if at_maximum:
         steps.append(
@@ -110,7 +110,7 @@ def _richer(result: "FitResult") -> Iterator[tuple[float, int, str]]:
         pattern = "the residuals of each specimen have one sign; " if one_sign else "the specimens may differ; "
         option = m.option("--each-specimen stiffness", _as_argument(each))
         yield *_with(result, each), f"{pattern}try one stiffness for each: {option}"
-    if result.problem.emulates and not result.parameters.inputs.at(result.theta).get("threshold_scatter").any():
+    if result.problem.alike:
         option = m.option(f"--fix threshold_scatter={SCATTER}", f'fixed={{"threshold_scatter": {SCATTER}}}')
         text = f"thresholds of real contacts scatter; try {100 * SCATTER:.0f} % from contact to contact: {option}"
         yield *_with(result, scattered(wanted, SCATTER)), text
@@ -176,7 +176,7 @@ def _offered(result: "FitResult", tried: Iterable[tuple[float, int, str]]) -> li
 
     If that is accepted, or falls to a fifth per degree of freedom.
     """
-    least = result.problem.improbable if (result.p_value or 0.0) < result.problem.improbable else SCATTERED
+    least = IMPROBABLE if (result.p_value or 0.0) < IMPROBABLE else SCATTERED
     most, found = 0.2 * result.misfit / (result.testable_dof or 1), []
     for deviance, more, text in tried:
         dof = (result.testable_dof or 0) - more

@@ -39,7 +39,8 @@ def error_source(result: "FitResult") -> str:
     rows = result.main.rows_are
     other = sorted({result.observable(one.observable).several for one in result.further})
     other += ["priors"] * any(math.isfinite(one.prior_sigma) for one in result.parameters.free if not one.nuisance)
-    other += ["stated errors"] * bool(beside - {*OF_MEASURING}) + ["shared errors"] * bool(beside & {*OF_MEASURING})
+    shared = {*OF_MEASURING, "threshold_scatter"}
+    other += ["stated errors"] * bool(beside - shared) + ["shared errors"] * bool(beside & shared)
     return f"from {listed([rows, *other])} only" if other else f"from the {rows} only"
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from slippulse_jax.base.shown import format_number, listed
+from slippulse_jax.inference.model.front import IMPROBABLE
 from slippulse_jax.inference.parameters import STIFFNESSES, Free, ParameterSet
 from slippulse_jax.inference.search.intervals import LEVELS, Interval, Intervals, rise_of
 from slippulse_jax.inference.search.likelihood import Problem
@@ -18,6 +19,7 @@ from slippulse_jax.inference.table.measurements import Measurements
 UNCHANGED = "at that maximum the length does not change with stiffness"
 COVERED = (0.64, 0.93)
 """Shares of simulated estimates within 1 and 1.96 standard errors below which no standard error is given."""
+FAR = 5.0  # standard errors from which on two minima are two valleys
 PLATEAU = 0.97  # of the longest attainable length, above which a length constrains stiffness little
 
 
@@ -98,9 +100,7 @@ def _of_fit(problem: Problem, found: Found, j: int) -> Iterator[Verdict]:
         yield Verdict(Identifiability.NOT_CONVERGED, f"a start {found.unconverged[0][1]}")
     if not problem.predict(found.theta).any() and problem.measurements.length.max() > 1:  # a count of one holds there
         yield Verdict(Identifiability.UNINFORMATIVE, "nothing in the range searched starts a domino: every length is zero")
-    if (
-        p_value is not None and p_value < problem.improbable and not _above_maximum(problem, found)
-    ):  # of which `_of_range` says more
+    if p_value is not None and p_value < IMPROBABLE and not _above_maximum(problem, found):  # of which `_of_range` says more
         at = f"; the best fit is at the {end} end of the range" if (end := _end(problem, found.theta, j)) else ""
         yield Verdict(
             Identifiability.POOR_FIT,
@@ -117,7 +117,8 @@ def _of_range(problem: Problem, found: Found, j: int, pieces: list[Interval]) ->
         told = undetermined(problem, found.theta)
         why = f"the data allow every value in the range searched{'; ' * bool(told)}{told}"
         yield Verdict(Identifiability.UNINFORMATIVE, _unseen(problem.parameters.free[j], pieces) or why)
-    limits = stiff and not problem.steps and {*m.kind} == {"at_least"}  # which have no best value where all are met
+    of_lengths = stiff and not problem.steps and not any(data.observable.is_value for data in problem.of_rows)
+    limits = of_lengths and {*m.kind} == {"at_least"}  # which have no best value where all are met
     if limits and len(pieces) == 1 and (problem.predict(found.theta)[0] >= m.length).all():
         yield from open_ended(problem.parameters.free[j], pieces)
         yield Verdict(Identifiability.EQUAL, "every value in the interval gives lengths that are long enough")
@@ -154,7 +155,7 @@ def _of_shape(problem: Problem, found: Found, j: int, profiled: Intervals) -> It
             f"{100 * covered[1]:.0f} %; use the intervals",
         )
     best, free = found.minima[0], problem.parameters.free[j]
-    far = 5 * np.sqrt(best.covariance[j, j])
+    far = FAR * np.sqrt(best.covariance[j, j])
     for other in found.minima[1:]:  # another valley, only slightly worse, far outside the standard error
         if other.deviance <= found.deviance + SLACK and abs(other.theta[j] - best.theta[j]) > far:
             value, worse = f"{format_number(free.value(other.theta[j]))} {free.unit}".rstrip(), other.deviance - found.deviance
@@ -200,11 +201,13 @@ def _several(problem: Problem, found: Found, j: int, pieces: list[Interval]) -> 
     free, joined, roots = problem.parameters.free[j], len(pieces) == 1, found.roots
     values = sorted({float(f"{free.value(root.theta[j]):.4g}") for root in roots if free.low < root.theta[j] < free.high})
     near = 1e-3
-    if joined and problem.emulates:
+    if joined and problem.drawn:
         return  # whose deviance is rough: minima within one interval are one valley
     if joined and problem.steps and roots and not roots[0].singular[j]:
         # one standard error where gauges were read, whose fields change in steps from contact to contact
         near = max(near, float(np.sqrt(rise_of(LEVELS[0], dof=found.scatter_dof) * roots[0].covariance[j, j])))
+    if joined and problem.emulates and roots:  # a rough deviance has minima side by side
+        near = FAR * float(np.sqrt(roots[0].covariance[j, j]))
     apart = [value for i, value in enumerate(values) if i == 0 or abs(free.theta(value) - free.theta(values[i - 1])) > near]
     if len(apart) > 1:
         named = f"{listed([*map(format_number, apart)])} {free.unit}".rstrip()

@@ -12,13 +12,17 @@ fitted. Every such fit is a search of one table of predictions, in units of σ; 
 """
 
 import dataclasses
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtri, fdtri
+from scipy.interpolate import CubicSpline
+from scipy.special import chdtri, fdtri, logsumexp
+from scipy.stats import skew
 
 from slippulse_jax.inference.choices import IntervalsBy
-from slippulse_jax.inference.search.likelihood import Problem
+from slippulse_jax.inference.search.learning import about, followed, single, spreads
+from slippulse_jax.inference.search.likelihood import SIMULATED, Problem
 from slippulse_jax.inference.search.minima import SLACK, Curve, DevianceGrid, Found, Root
 from slippulse_jax.inference.search.minimise import minimise
 
@@ -39,6 +43,9 @@ ONE_THREAD = 4 * 2**16
 STRAIGHT = 1.15
 """Ratio of a profile's limit at the highest level to that of a parabola from which on intervals are simulated."""
 HOPELESS = 25.0  # rise of D above which a value is excluded at any calibration
+INTEGRATED, FINER, TINY = 48, 1000, 1e-15  # nodes of a curve that is integrated over the scatter, and of its spline; rounding
+FEW_STEPS, FRESH = 5, 64
+"""Steps in which a table is fitted from where it was drawn; and series that are followed to draw tables of sequences."""
 NARROWEST = 1e-10  # part of the range of a parameter that is not divided
 SLIGHT = 1e-3  # difference of two deviances that is none
 
@@ -203,6 +210,116 @@ def profile_2d(problem: Problem, i: int, j: int, first: np.ndarray, second: np.n
     nodes = np.stack([a.ravel(), b.ravel()] if i < j else [b.ravel(), a.ravel()], axis=1)
     curve = constrained(problem, held, nodes, starts)
     return curve.deviance.reshape(a.shape)
+
+
+# --- integrated over the scatter of contacts ---------------------------------------------------------------------------
+
+
+def integrated(problem: Problem, j: int, found: Found) -> Curve:
+    """Deviance of θ_j, integrated over the scatter of contacts.
+
+    That of the scatter over the first parameter; least over the others. A profile of draws is too narrow: the densest ensemble
+    is not the likeliest scatter. Where the curve is not that of a normal distribution it is changed so that usual rises bound
+    regions of the usual probability.
+    """
+    q = problem.parameters
+    scatter = q.names.index("threshold_scatter")
+    across = scatter if j != scatter else next(i for i in range(problem.p) if i != j)
+    most = INTEGRATED if problem.p == 2 else INTEGRATED // 2  # of which each has a minimum to be found
+    nodes = {i: np.linspace(*_reached(problem, i, found), count) for i, count in ((j, most), (across, most // 2))}
+    first, second = nodes[j], nodes[across]
+    starts = np.array([*(root.theta for root in found.minima[:STARTS_KEPT]), found.theta])
+    held = np.isin(np.arange(problem.p), (j, across))
+    pairs = np.stack(np.meshgrid(first, second, indexing="ij"), axis=-1).reshape(-1, 2)
+    pairs = pairs if j < across else pairs[:, ::-1]
+    curve = Curve(first, 2 * problem(pairs).value, pairs) if problem.p == 2 else constrained(problem, held, pairs, starts)
+    deviance, theta = curve.deviance.reshape(len(first), -1), curve.theta.reshape(len(first), -1, problem.p)
+    whole = -2 * np.asarray(logsumexp(-deviance / 2, axis=1))
+    finer = np.linspace(first[0], first[-1], FINER)
+    smooth = CubicSpline(first, np.minimum(whole - whole.min(), LARGEST))(finer)
+    near = np.abs(first[:, None] - finer).argmin(axis=0)
+    best = theta[np.arange(len(first)), deviance.argmin(axis=1)][near]
+    best[:, j] = finer
+    rise = np.maximum(smooth - smooth.min(), 0)
+    # the rise of a normal curve that has as much above it; nowhere more than it is, where there is no end of the range in sight
+    order, mass = np.argsort(rise, kind="stable"), np.exp(-rise / 2)
+    within = np.empty_like(mass)
+    within[order] = np.cumsum(mass[order]) / mass.sum()
+    return Curve(finer, found.deviance + np.minimum(rise, chdtri(1, np.maximum(1 - within, TINY))), best)
+
+
+def _reached(problem: Problem, i: int, found: Found) -> tuple[float, float]:
+    """Range of θ_i that the data may mean."""
+    q, grid = problem.parameters, found.grid
+    if grid is None:
+        every = [(root.theta[i], 6 * np.sqrt(root.covariance[i, i])) for root in found.minima]
+        low, high = min((x - e for x, e in every), default=-np.inf), max((x + e for x, e in every), default=np.inf)
+    else:
+        node = np.unique(grid.theta[..., i])
+        least = np.array([grid.deviance[grid.theta[..., i] == x].min() for x in node])
+        some = np.flatnonzero(least < found.deviance + HOPELESS)
+        low, high = node[max(some[0] - 1, 0)], node[min(some[-1] + 1, len(node) - 1)]
+    return max(low, q.low[i]), min(high, q.high[i])
+
+
+def crossed(curve: Curve, limits: dict[float, float]) -> Intervals:
+    """Pieces of a fine curve below the limit of each level."""
+    found = {}
+    for level, limit in limits.items():
+        inside, over = curve.deviance <= limit, curve.deviance - limit
+        at = np.array(_changes(inside), dtype=int)
+        ends = curve.node[at] + np.diff(curve.node)[at] * over[at] / (over[at] - over[at + 1])
+        found[level] = pieces_of(curve.node, inside, ends.tolist())
+    return found
+
+
+def deviances(problem: Problem, theta: np.ndarray) -> tuple[float, ...] | None:
+    """Skewness, mean and spread of deviances of tables drawn at θ.
+
+    Each is fitted from there. None where some data are no values, their errors were taken from them, or no series near θ
+    reaches all places.
+    """
+    if not problem.exact_values or not problem.known:
+        return None
+    random, at = np.random.default_rng(0), np.tile(theta, (SIMULATED, 1))
+    every = [*(_of_draws if problem.drawn else _of_series)(problem, theta, random)]
+    if not every:
+        return None
+    q, tables = problem.parameters, problem.with_tables(theta, every, random)
+    deviance = 2 * minimise(tables, at, q.low, q.high, lane=np.arange(SIMULATED), max_steps=FEW_STEPS).value
+    return float(skew(deviance)), float(deviance.mean()), float(deviance.std())
+
+
+def _of_draws(problem: Problem, theta: np.ndarray, random: np.random.Generator) -> Iterator[np.ndarray]:
+    """Draw tables of contacts that differ, (R, n) of each observable."""
+    draws = problem.draws(theta)
+    weight = {int(g): w for one in draws for g, w in zip(one.group, one.weight, strict=True)}
+    shares = {g: np.cumsum(np.maximum(w[:-1], 0)) for g, w in weight.items()}  # of events that stop
+    event = {g: np.searchsorted(share, random.random(SIMULATED) * share[-1]) for g, share in shares.items()}
+    for data, one in zip(problem.learnt, draws, strict=True):
+        shared = {g: random.standard_normal(SIMULATED) for g in event}  # by data of one event
+        which, off = (np.stack([of[int(g)] for g in one.group], axis=1) for of in (event, shared))  # (R, n)
+        row = np.arange(len(one.group))
+        drawn = one.value[row, which] + one.width[row, which] * off
+        yield drawn + data.sigma * random.standard_normal(drawn.shape)
+
+
+def _of_series(problem: Problem, theta: np.ndarray, random: np.random.Generator) -> Iterator[np.ndarray]:
+    """Draw tables of sequences, (R, n) of each observable.
+
+    By how far fresh series near θ lie from the emulator, which is less than it allows: that is for the worst of its points.
+    """
+    near = about(problem, theta, FRESH)
+    fresh = followed(problem, near)
+    fresh = dataclasses.replace(fresh, points=fresh.points.take(np.arange(-FRESH, 0)))
+    off = [found - problem.predicted(near, data) for found, data in zip(single(fresh)[1], problem.observed, strict=True)]
+    whole = np.flatnonzero(np.all([np.isfinite(one).all(axis=1) for one in off], axis=0))  # which reach all places
+    if not len(whole):
+        return
+    series = random.choice(whole, SIMULATED)
+    for data, own, away in zip(problem.observed, spreads(fresh, theta), off, strict=True):
+        error = np.hypot(data.sigma, own) * random.standard_normal((SIMULATED, len(data.rows)))
+        yield problem.predicted(theta, data) + away[series] + error
 
 
 # --- by simulation ----------------------------------------------------------------------------------------------------

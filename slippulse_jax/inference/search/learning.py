@@ -52,6 +52,9 @@ OF_BLOCK = {*GEOMETRY, "log_height", "log_sites"}
 """Inputs on which the elastic block depends."""
 OUTWARDS, STEPS = 12, 3.0
 """Most rounds in which a profile is followed outwards, and how far each goes, in half-widths."""
+WIDE, SIDES, TRIED, NEAR = 3.0, 256, 2048, 6.0
+"""Errors of a prior over which events are drawn; corners of many parameters; and points at which −ln p is looked at, with how
+far above the least many draws are worth it."""
 RISEN = 2.0
 """Rise of the deviance beyond the limit of an interval from which on a profile needs no more points."""
 
@@ -61,6 +64,8 @@ def learnt(problem: Problem, seed: int, model_error: float | str | None = None, 
 
     In one round, `quick`, to some per cent.
     """
+    if problem.parameters.front.drawn:
+        return with_draws(problem, seed)
     problem = with_model_error(problem, model_error) if isinstance(model_error, float | int) else problem
     q, units, random = problem.parameters, _units(problem.parameters), np.random.default_rng(seed)
     if problem.loss != "normal":
@@ -81,6 +86,28 @@ def learnt(problem: Problem, seed: int, model_error: float | str | None = None, 
             break
         problem = emulated(followed(problem, np.concatenate(more)), tuned=True)
     return problem
+
+
+def with_draws(problem: Problem, seed: int) -> Problem:
+    """Draw events in the range searched, more where data may be met."""
+    if problem.loss != "normal":
+        raise ValueError(f"loss = {problem.loss!r}: of contacts that scatter events that are far off are part of the model")
+    q, inputs = problem.parameters, problem.learnt[0].inputs
+    nuisance, spread = np.array([one.nuisance for one in q.free]), WIDE / np.sqrt(np.maximum(problem.prior_weight, 1e-300))
+    low, high = np.maximum(q.low, problem.prior_mean[0] - spread), np.minimum(q.high, problem.prior_mean[0] + spread)
+    low, high = np.where(nuisance, low, q.low), np.where(nuisance, high, q.high)
+    sides = (
+        qmc.Halton(problem.p, rng=seed).random(SIDES).round()
+        if problem.p > 8
+        else np.indices((2,) * problem.p).reshape(problem.p, -1).T
+    )
+    middle, ends = inputs.at((low + high) / 2), inputs.at(low + sides * (high - low)).table()
+    alone = all(data.observable.drawn_as == 0 for data in problem.learnt)
+    few = dataclasses.replace(problem, emulator=q.front.ensembles(middle, ends, alone=alone))
+    theta = low + qmc.Sobol(problem.p, rng=seed).random(TRIED) * (high - low)
+    value = few(theta).value
+    near = theta[value < np.min(value, initial=np.inf, where=np.isfinite(value)) + NEAR]
+    return dataclasses.replace(problem, emulator=q.front.ensembles(middle, ends, inputs.at(near), alone=alone))
 
 
 def outwards(problem: Problem, curves: Mapping[int, Curve], limit: float, seed: int) -> Problem | None:
@@ -216,6 +243,24 @@ def followed(problem: Problem, theta: np.ndarray) -> Problem:
     padded = [np.pad(x, [(0, 0), (0, widest - x.shape[1])]) for x in values]  # of units with fewer data
     points = Points(theta, np.stack(place), np.stack(padded), np.stack(coarse))
     return dataclasses.replace(problem, points=problem.points.and_(points))
+
+
+def about(problem: Problem, theta: np.ndarray, count: int) -> np.ndarray:
+    """Points within the errors of a fit, (count, p)."""
+    q, random = problem.parameters, np.random.default_rng(0)
+    covariance = np.linalg.pinv(problem(theta[None], order=1).metric[0], rcond=1e-9, hermitian=True)
+    return np.clip(random.multivariate_normal(theta, covariance, count, method="eigh"), q.low, q.high)
+
+
+def spreads(problem: Problem, theta: np.ndarray) -> Iterator[np.ndarray]:
+    """Errors of places and of the model near θ, by observable."""
+    values, inputs = np.nanmean(problem.points.values, axis=1), problem.observed[0].inputs.at(theta)
+    units, size = values.shape
+    with jax.enable_x64(True):
+        for data in problem.observed:
+            exact = Outputs(*map(jnp.asarray, (values, np.zeros((units, size, size)), np.zeros(units))))
+            found = data.predicted(data.observable.emulate(exact, inputs, data), jnp.asarray(theta))
+            yield np.sqrt(np.diag(found.covariance))
 
 
 def emulated(problem: Problem, *, tuned: bool = False) -> Problem:

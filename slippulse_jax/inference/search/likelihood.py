@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from scipy.special import chdtrc, digamma
+from scipy.stats import pearson3
 
 from slippulse_jax.base.shown import TIED, format_number, listed, plural
 from slippulse_jax.bulk.chunks import Kernel, Layout, over_lanes
@@ -27,7 +28,7 @@ from slippulse_jax.bulk.compiler import compiled, local_devices
 from slippulse_jax.bulk.derivatives import by_forward_mode
 from slippulse_jax.inference.choices import Loss
 from slippulse_jax.inference.model.emulator import NOWHERE, Emulator, Points
-from slippulse_jax.inference.model.front import Front
+from slippulse_jax.inference.model.front import IMPROBABLE, Front
 from slippulse_jax.inference.observables.observable import (
     SHARPEST,
     STUDENT_DOF,
@@ -54,6 +55,10 @@ AT_ONCE = 16
 ELEMENTS = 2_000_000
 """Elements of the largest array held at once; more points are evaluated in turns."""
 
+SIMULATED = 200
+"""Tables that say how probable a deviance of draws is."""
+OUTLIERS = 0.01
+"""Share of draws that are none of the model's."""
 INFORMATION = {"normal": 1.0, "student": (STUDENT_DOF + 1) / (STUDENT_DOF + 3)}
 """Information of one datum with σ = 1: 1/variance of the estimate if its errors are distributed as the loss assumes."""
 EXPECTED = {"normal": 1.0, "student": (STUDENT_DOF + 1) * float(digamma((STUDENT_DOF + 1) / 2) - digamma(STUDENT_DOF / 2))}
@@ -124,11 +129,11 @@ def _cost_of(mu: Array, value: Array, sigma: Array, observable: Observable) -> A
 class Joint(NamedTuple):
     """Density of data that err together at one θ."""
 
-    value: Any  # −ln p
-    slope: Any  # (p,)
-    information: Any  # (p, p), Fisher's, of means and covariances
-    means: tuple[Any, ...]  # (n,) of each observable
-    covariances: tuple[Any, ...]  # (n, n), of what the model leaves open
+    value: Any  # −ln p; the others only if they were asked for
+    slope: Any = None  # (p,)
+    information: Any = None  # (p, p), Fisher's, of means and covariances
+    means: tuple[Any, ...] = ()  # (n,) of each observable
+    covariances: tuple[Any, ...] = ()  # (n, n), of what the model leaves open
 
 
 def emulated(
@@ -143,6 +148,7 @@ def emulated(
 def _joint(
     kinds: tuple[Observable, ...],
     coordinates: Callable,
+    slopes: bool,
     numbers: Any,
     emulator: Emulator,
     theta: Array,
@@ -157,24 +163,52 @@ def _joint(
     def one(theta: Array, value: Any, weight: Any) -> Joint:
         read = [data.reading(*own) for data, *own in zip(numbers, value, weight, strict=True)]
 
-        def cost(found: list[Prediction]) -> Array:
-            return _cost(kinds, found, read)
+        def every(theta: Array) -> list[Prediction]:
+            return emulated(kinds, coordinates, numbers, emulator, theta)
 
-        def along(way: Array) -> tuple[Any, Any]:
-            return jax.jvp(lambda x: emulated(kinds, coordinates, numbers, emulator, x), (theta,), (way,))
+        def along(way: Array) -> tuple[Any, Any]:  # of means and covariances
+            return jax.jvp(lambda x: [one._replace(draws=None) for one in every(x)], (theta,), (way,))
 
+        if not slopes:
+            return Joint(_cost(kinds, every(theta), read))
+        cost, slope = jax.value_and_grad(lambda x: _cost(kinds, every(x), read))(theta)
+        slope = jnp.where(jnp.isfinite(cost), slope, 0)  # beside an impossible point, differences of slopes stay finite
         found, moves = jax.vmap(along, out_axes=(None, -1))(jnp.eye(len(theta)))
-        slope = jax.vmap(lambda way: jax.jvp(cost, (found,), (way,))[1], in_axes=-1)(moves)
         information = jnp.stack([_information(*each) for each in zip(found, moves, read, strict=True)]).sum(axis=0)
-        return Joint(cost(found), slope, information, *zip(*found, strict=True))
+        return Joint(cost, slope, information, *zip(*(one[:2] for one in found), strict=True))
 
     return jax.vmap(one)(theta, value, weight)
 
 
 def _cost(kinds: tuple[Observable, ...], found: Iterable[Prediction], read: Iterable[Reading]) -> Array:
     """−ln p of the data of every observable."""
-    each = [kind.log_density(one, own) for kind, one, own in zip(kinds, found, read, strict=True)]
-    return -jnp.stack(each).sum()
+    every = list(zip(kinds, found, read, strict=True))
+    each = [kind.log_density(one, own) for kind, one, own in every if one.draws is None]
+    return -jnp.stack([*each, *_of_draws([one for one in every if one[1].draws is not None])]).sum()
+
+
+def _of_draws(every: list[tuple[Observable, Prediction, Reading]]) -> list[Array]:
+    """Log density of data that are draws.
+
+    The mean over the draws of each event, of which all that was measured goes together; and outliers.
+    """
+    if not every:
+        return []
+    draws: list[Any] = [one.draws for _, one, _ in every]
+    groups = [one.group.astype(int) for one in draws]
+    kernels = [(jnp.where(one.stops, one.value, jnp.inf), one.width) for one in draws]
+    wide = [(one.mean[:, None], jnp.abs(one.mean)[:, None]) for _, one, _ in every]
+    weight = jnp.concatenate([one.weight for one in draws])
+
+    def of_groups(predicted: list[tuple[Array, Array]]) -> Array:
+        each = zip(every, predicted, groups, strict=True)
+        return jnp.stack([kind.of_events(*own, read, at, len(weight)) for (kind, _, read), own, at in each]).sum(axis=0)
+
+    # an event's draws have the weights of its last datum; those of none add up to 1
+    share = jnp.zeros_like(weight).at[:, 0].set(1.0).at[jnp.concatenate(groups)].set(weight)
+    like = jax.scipy.special.logsumexp(of_groups(kernels), axis=1, b=share)
+    outlier = of_groups(wide)[:, 0]
+    return [jnp.logaddexp(like + np.log1p(-OUTLIERS), outlier + np.log(OUTLIERS)).sum()]
 
 
 def _information(found: Prediction, slope: Prediction, read: Reading) -> Float[Array, "p p"]:
@@ -182,6 +216,9 @@ def _information(found: Prediction, slope: Prediction, read: Reading) -> Float[A
     used = (read.weight > 0) & jnp.isfinite(found.mean)
     both = used[:, None] & used[None]
     every = jnp.where(both, found.covariance, 0) + jnp.diag(jnp.where(used, read.sigma**2, 1.0))
+    if found.heavy is not None:
+        size = jnp.where(found.heavy > 0, INFORMATION["student"], 1.0) ** -0.5
+        every = every * size[:, None] * size[None]
     n, p = slope.mean.shape
     columns = jnp.concatenate([slope.mean, slope.covariance.reshape(n, n * p)], axis=1)
     white, _ = whitened(every, jnp.where(used[:, None], columns, 0))
@@ -190,20 +227,23 @@ def _information(found: Prediction, slope: Prediction, read: Reading) -> Float[A
     return mean.T @ mean + full.T @ full / 2
 
 
+_emulated = jax.jit(emulated, static_argnums=(0, 1))
+
+
 @cache
-def _program(kinds: tuple[Observable, ...], coordinates: Callable, tree: Any, shapes: tuple[Any, ...]) -> Any:
+def _program(kinds: tuple[Observable, ...], coordinates: Callable, slopes: bool, tree: Any, shapes: tuple[Any, ...]) -> Any:
     """`_joint` of arrays of these shapes, and the tree of its results."""
     results: list[Any] = []
 
     def flat(*arrays: Array) -> tuple[Array, ...]:
-        found, last = jax.tree.flatten(_joint(kinds, coordinates, *jax.tree.unflatten(tree, arrays)))
+        found, last = jax.tree.flatten(_joint(kinds, coordinates, slopes, *jax.tree.unflatten(tree, arrays)))
         results.append(last)
         return tuple(found)
 
     given = [jax.ShapeDtypeStruct(shape, dtype) for shape, dtype in shapes]
     with jax.enable_x64(True):
         jax.eval_shape(flat, *given)
-    named = (_joint, [(kind.name, kind.loss) for kind in kinds])
+    named = (_joint, slopes, [(kind.name, kind.loss, kind.drawn) for kind in kinds])
     return compiled(flat, *given, device=local_devices(cpu=True)[0], fusion_emitters=False, named=named), results[0]
 
 
@@ -232,6 +272,7 @@ class Problem:
     through: np.ndarray | None = None  # those of them through which the emulator goes
     emulator: Emulator | None = None  # of them, along its first axis of each distinct input
     known: bool = True  # whether errors were stated, so that the deviance tests the model
+    simulated: tuple[float, ...] | None = None  # skewness, mean and spread of deviances of tables drawn at the fit
     held: np.ndarray | None = None  # (p,), θ that stay where they are: derivatives in them are left 0
     tick: Callable[[int], object] | None = None  # called with the number of lengths computed, to show progress
 
@@ -300,22 +341,41 @@ class Problem:
     def p_value(self, theta: np.ndarray, deviance: float, dof: int | None) -> float | None:
         """Probability of so large a deviance at θ.
 
-        With `testable` degrees of freedom.
+        With `testable` degrees of freedom; of an emulator, by tables drawn at the fit.
         """
-        return None if dof is None else float(chdtrc(dof, deviance - self.perfect(theta)))
+        if dof is None or (self.drawn and self.simulated is None):
+            return None
+        if self.simulated is not None:
+            return float(pearson3.sf(deviance, *self.simulated))
+        return float(chdtrc(dof, deviance - self.perfect(theta)))
 
     @property
-    def improbable(self) -> float:
-        """Probability of the deviance below which a model is refused."""
-        return self.parameters.front.least_probability(self.parameters.inputs.map(lambda one: one.base))
+    def alike(self) -> bool:
+        """Whether contacts of a sequence are taken as alike."""
+        scatter = self.parameters.inputs.more.get("log_scatter")
+        return self.emulates and scatter is not None and bool(np.isneginf(scatter.base).all())
+
+    @property
+    def drawn(self) -> bool:
+        """Whether data are draws, of contacts that differ."""
+        return self.parameters.front.drawn
+
+    def draws(self, theta: np.ndarray) -> list[Any]:
+        """What data may be at θ, as `Draws` of each observable."""
+        kinds = tuple(data.observable for data in self.learnt)
+        with jax.enable_x64(True):
+            found = _emulated(kinds, self.parameters.front.coordinates, self._numbers, self.emulator, theta)
+        return [jax.tree.map(np.asarray, one.draws) for one in found]
 
     def accepts(self, theta: np.ndarray, deviance: float, most: float = np.inf) -> bool:
         """Whether the data fit at a minimum.
 
-        By p, or where none is known by a deviance of `most` at the most.
+        By p, or where none is known, or takes long, by a deviance of `most` at the most.
         """
+        if self.drawn:
+            return deviance <= most
         p = self.p_value(theta, deviance, self.testable(theta)) if np.isfinite(deviance) else 0.0
-        return deviance <= most if p is None else p >= self.improbable
+        return deviance <= most if p is None else p >= IMPROBABLE
 
     def perfect(self, theta: np.ndarray, lane: int = 0) -> float:
         """Deviance if the model met all data at θ.
@@ -376,8 +436,10 @@ class Problem:
         metric = np.broadcast_to(np.diag(self.prior_weight), (len(theta), self.p, self.p)).copy()
         curvature = metric.copy()
         if self.emulates:
-            found = self.jointly(theta, lane)
-            value, gradient, metric = value + found.value, gradient + found.slope, metric + found.information
+            found = self.jointly(theta, lane, slopes=order > 0 or not self.learnt[0].observable.drawn)
+            value = value + found.value
+            if found.slope is not None:
+                gradient, metric = gradient + found.slope, metric + found.information
             curvature = curvature + self._bends(theta, lane) if order > 1 else curvature
         for data, mu, first, second in self._each_exact(theta, order):
             cost, slope, positive, bend = costs(mu, data, lane)
@@ -430,8 +492,11 @@ class Problem:
         inputs = self.learnt[0].inputs.stacked()
         return tuple(data._replace(observable=None, inputs=inputs, value=None, weight=None) for data in self.learnt)
 
-    def jointly(self, theta: np.ndarray, lane: np.ndarray | None = None) -> Joint:
-        """Density of emulated data at every θ, (B, p)."""
+    def jointly(self, theta: np.ndarray, lane: np.ndarray | None = None, *, slopes: bool = True) -> Joint:
+        """Density of emulated data at every θ, (B, p).
+
+        With `slopes`, and predictions, or its value alone.
+        """
         lane = np.zeros(len(theta), int) if lane is None else lane
         kinds, parts = tuple(data.observable for data in self.learnt), []
         if self.tick is not None:
@@ -443,7 +508,7 @@ class Problem:
             arrays, tree = jax.tree.flatten((self._numbers, self.emulator, theta[rows], value, weight))
             arrays = [np.asarray(x) for x in arrays]
             shapes = tuple((x.shape, x.dtype) for x in arrays)
-            program, results = _program(kinds, self.parameters.front.coordinates, tree, shapes)
+            program, results = _program(kinds, self.parameters.front.coordinates, slopes, tree, shapes)
             with jax.enable_x64(True):
                 found = program(*arrays)
             parts.append(jax.tree.unflatten(results, [np.asarray(x)[:count] for x in found]))
@@ -515,7 +580,7 @@ class Problem:
 
         Of Gaussian values.
         """
-        return self.exact_values and self.loss == "normal"
+        return self.exact_values and self.loss == "normal" and not self.drawn
 
     @property
     def simulable(self) -> bool:
@@ -532,6 +597,8 @@ class Problem:
 
         That part is of values off their means, and no residual; it is left out below `PART` of χ².
         """
+        if self.drawn and p_value is not None:
+            return f"of {SIMULATED} tables drawn at the fit {100 * p_value:.2g} % are less probable"
         misfit = round(deviance - self.perfect(theta), 9)  # no rounding errors
         parts = self.prior_weight * (theta - self.prior_mean[0]) ** 2
         pulled = dict.fromkeys(one.symbol for one, x in zip(self.parameters.free, parts, strict=True) if x > 0.1 * parts.sum())
@@ -548,9 +615,12 @@ class Problem:
         """
         p = "p < 1e-300" if not p_value or p_value < 1e-300 else f"p = {p_value:.2g}".replace("e-0", "e-")
         p = p.replace(" ", TIED)
+        by = f", by {SIMULATED} simulated tables" * (self.simulated is not None)
+        if self.drawn:
+            return f" ({p}{by})"
         if (dof or 0) > self.values - self.p:
             return f" ({p.replace('=', 'at most')})"
-        return f" for {plural(dof or 0, 'degree')} of freedom ({p})"
+        return f" for {plural(dof or 0, 'degree')} of freedom ({p}{by})"
 
     @property
     def sharp(self) -> bool:
@@ -652,6 +722,18 @@ class Problem:
 
         sharp = any(not data.observable.is_value and (data.sigma < width).any() for data in self.observed)
         return self.changed(blunt) if sharp else self
+
+    def with_tables(self, theta: np.ndarray, values: Sequence[np.ndarray], random: np.random.Generator) -> "Problem":
+        """Replace measurements, and prior means, by drawn ones.
+
+        ``values`` are (R, n) for each kind of data; prior means are drawn about ``theta``.
+        """
+        count, known = len(values[0]), self.prior_weight > 0
+        means = np.repeat(self.prior_mean[:1], count, axis=0)
+        off = random.standard_normal((count, int(known.sum()))) / np.sqrt(self.prior_weight[known])
+        means[:, known] = theta[known] + off
+        weights = (np.repeat(data.weight[:1], count, axis=0) for data in self.observed)
+        return self.with_replicates(zip(values, weights, strict=True), means)
 
     def with_replicates(self, drawn: Iterable[tuple[np.ndarray, np.ndarray]], means: np.ndarray) -> "Problem":
         """Replace values and weights, (R, n) each, and prior means, (R, p)."""

@@ -35,6 +35,8 @@ from slippulse_jax.inference.choices import Template
 
 OVER_ALL = ("_N", "_N_per_m")
 """Ends of the names of columns that are of the whole width of a block, by which they are divided."""
+WITH_WIDTH = ("machine_stiffness", "force", "largest_force", "normal_load")
+"""Columns that have such names too."""
 SI = {"N": 1.0, "N_per_mm": 1e3, "N_per_m": 1.0, "mm": 1e-3, "um": 1e-6, "MPa": 1e6, "GPa": 1e9}
 """Units in which names of columns and options end, in SI."""
 UNITS_OF_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
@@ -137,6 +139,7 @@ PUSH_WIDTH = _positive("the height of a pusher must be positive; blank where it 
 MACHINE = _positive("the stiffness of a machine must be positive")
 WIDTH = _positive("the width of a block must be positive")
 DISPLACEMENT = _positive("a displacement at nucleation must be positive")
+VISIBLE = _positive("the least extent of an event that is noticed must be positive")
 FORCE = _positive("a driving force must be positive")
 EVENT = Domain(1, np.inf, "events are numbered from 1", closed="low")
 POSITION = Domain(0, np.inf, "a position must be finite and not negative", closed="low")
@@ -162,6 +165,10 @@ _ROWS = (
     Column("threshold_slope", "", "", THRESHOLD_SLOPE, "Known relative rise of the threshold per contact"),
     Column("residual_strength", "", "", RESIDUAL_STRENGTH, "Known share r of its strength that a contact keeps when it breaks",
            symbols="r"),
+    Column("visible", "mm", "λc", VISIBLE, "Least extent of an event that would have been noticed, by the apparatus. Blank: of "
+           "contacts that differ a tenth of the height, or the shortest length if that is less. Of numbered events the least "
+           "advance that is listed: where it is stated no larger one lies between two numbers", may_be_blank=True,
+           symbols="resolution detection_limit"),
     Column("block_length", "mm", "λc", BLOCK_LENGTH, "Length of the block from its pushed edge to its free end; blank for a "
            "block without end. A front that ran through all of it has that length and the kind `at_least`",
            may_be_blank=True, symbols="L sample_length slider_length"),
@@ -201,6 +208,8 @@ _ROWS = (
            "at a height that of any event, as a sequence (docs/fit/sequence.md)", may_be_blank=True, needs="force_sigma young",
            usual=("every force larger by 1 %", math.log(1.01), -math.log(1.01))),
     Column("force_sigma", "N_per_mm", None, ERROR_OF_READING, may_be_blank=True),
+    Column("largest_force", "N_per_mm", None, FORCE, "Largest force since the start of the run, up to this event and with it",
+           may_be_blank=True, needs="force push_height"),
     Column("normal_load", "N", None, FORCE, "Force that presses the block on the track; per width as an array",
            needs="force push_height", usual=("F_N larger by 1 %", math.log(1.01), -math.log(1.01))),
     Column("event", "", "", EVENT, "Number of the event in its sequence, the first 1; without it `length` is a place, and "
@@ -215,9 +224,11 @@ _ROWS = (
     Column("contact_law", says="What follows the pressure: thresholds, or thresholds and stiffnesses",
            choices=get_args(ContactLaw), needs="friction"),
     Column("top", says="Whether the top of a block may tilt", choices=get_args(Top), needs="push_height"),
-    Column("provenance", says="Where the length comes from", choices=("", *PROVENANCES)),
+    Column("provenance", says="Where the length comes from; measured contacts differ", choices=("", *PROVENANCES)),
     Column("specimen", says='Any name, to which `each="specimen"` of a parameter refers', choices=(),
            symbols="block blocks specimens sample"),
+    Column("thresholds", says="Whether thresholds are new in every run, or those of the `specimen` stay as they are, so that "
+           "its lengths are one draw; of a fit of contacts that differ", choices=("new", "kept"), needs="specimen"),
     Column("label", says="Name of the precursor, by which readings of gauges refer to it", choices=()),
 )  # fmt: skip
 _ROWS_OF_GAUGES = (
@@ -551,8 +562,11 @@ def _faults(values: Mapping[str, Any]) -> Iterator[Fault]:
     if "length" in values:
         yield from _faults_of_length(values)
         yield from _faults_of_push(values)
+    if "largest_force" in values:
+        less = values["largest_force"] < values.get("force", 0.0) * (1 - 1e-9)
+        yield "largest_force", less, "less than the force of this event, which is one of those up to it"
     if "block_width" in values:
-        divided = [~np.isnan(values[name]) for name in ("machine_stiffness", "force", "normal_load") if name in values]
+        divided = [~np.isnan(x) for name, x in values.items() if name in WITH_WIDTH]
         missing = np.isnan(values["block_width"]) & np.any(divided, axis=0)
         yield "block_width", missing, "missing value: machine_stiffness_N_per_m and forces in N are divided by it"
 
