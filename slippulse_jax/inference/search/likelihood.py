@@ -233,18 +233,15 @@ _emulated = jax.jit(emulated, static_argnums=(0, 1))
 @cache
 def _program(kinds: tuple[Observable, ...], coordinates: Callable, slopes: bool, tree: Any, shapes: tuple[Any, ...]) -> Any:
     """`_joint` of arrays of these shapes, and the tree of its results."""
-    results: list[Any] = []
 
     def flat(*arrays: Array) -> tuple[Array, ...]:
-        found, last = jax.tree.flatten(_joint(kinds, coordinates, slopes, *jax.tree.unflatten(tree, arrays)))
-        results.append(last)
-        return tuple(found)
+        return tuple(jax.tree.leaves(_joint(kinds, coordinates, slopes, *jax.tree.unflatten(tree, arrays))))
 
     given = [jax.ShapeDtypeStruct(shape, dtype) for shape, dtype in shapes]
-    with jax.enable_x64(True):
-        jax.eval_shape(flat, *given)
     named = (_joint, slopes, [(kind.name, kind.loss, kind.drawn) for kind in kinds])
-    return compiled(flat, *given, device=local_devices(cpu=True)[0], fusion_emitters=False, named=named), results[0]
+    program = compiled(flat, *given, device=local_devices(cpu=True)[0], fusion_emitters=False, named=named)
+    each = (0,) * len(kinds)
+    return program, jax.tree.structure(Joint(0, 0, 0, each, each) if slopes else Joint(0))  # known without tracing it
 
 
 class Evaluation(NamedTuple):
